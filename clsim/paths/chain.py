@@ -46,7 +46,7 @@ class Support:
 
 _BODIES = ("bodies", "must be left out where the air depends on the height or fluctuates")
 _SCATTERERS = ("scatterers", "must be left out where the air depends on the height or fluctuates")
-_TWO_EDGES = ("diffraction", "must be at most 1 where the air depends on the height or fluctuates, but is 2")
+_TWO_EDGES = ("diffraction", "must be at most 1 where the air depends on the height or fluctuates, but is 2 or 3")
 _TWO_SCATTERERS = ("scatterers_in_row", "must be 1 where the air moves, depends on the height or fluctuates, but is 2")
 _EDGE_AND_SCATTERER = ("edge_scattering", "must be false where the air moves, depends on the height or fluctuates")
 _BEHIND_BODIES = HOST, HOST, REFUSED, REFUSED
@@ -58,6 +58,7 @@ SUPPORT = {  # by `Chain.kind`
     "static edge pair": Support("two edges of one face", _BEHIND_BODIES, refusal=_TWO_EDGES),
     "static edge gap": Support("two edges with air between", _BEHIND_BODIES, refusal=_TWO_EDGES),
     "static edge and end": Support("an edge and an end of another", _BEHIND_BODIES, refusal=_TWO_EDGES),
+    "static three edges": Support("three edges of one object", _BEHIND_BODIES, refusal=_TWO_EDGES),
     "static scatterer": Support("a scatterer", (DEVICE, DEVICE, REFUSED, REFUSED), "scatterers", _SCATTERERS),
     "static scatterer pair": Support("two scatterers", _IN_STILL_AIR, refusal=_TWO_SCATTERERS),
     "static edge scatterer": Support("an edge and a scatterer", _IN_STILL_AIR, refusal=_EDGE_AND_SCATTERER),
@@ -81,6 +82,7 @@ _IDENTITIES = {
     "static edge pair": "diffraction.double.DoubleEdgePaths",
     "static edge gap": "vertices.gap_pair.GapPaths",
     "static edge and end": "vertices.edge_end.EdgeEndPaths",
+    "static three edges": "vertices.edge_third.ThirdEdgePaths",
     "static scatterer": "scattering.family.ScatteredPaths",
     "static edge scatterer": "vertices.edge_scatterer.EdgeScattererPaths",
     "static scatterer edge": "vertices.edge_scatterer.ScattererEdgePaths",

@@ -26,6 +26,7 @@ from clsim.paths.search.body_edges import moving_edge_paths
 from clsim.paths.search.edge_ends import end_edge_paths
 from clsim.paths.search.edge_gaps import gap_edge_paths
 from clsim.paths.search.edge_scatterers import as_met, edge_scatterer_paths
+from clsim.paths.search.edge_thirds import third_edge_paths
 from clsim.paths.search.edges import EdgePaths
 from clsim.paths.search.mesh import mesh_paths, report, resolution_of
 from clsim.paths.search.same_events import at_one_time
@@ -246,8 +247,8 @@ def _walls(grid: NDArray[np.int64], max_order: int) -> NDArray[np.int8]:
     return walls
 
 
-_KINDS = 0, 1, 4  # of paths over edges, by `diffraction`
-OVER_EDGES = EdgePaths.over_one, EdgePaths.over_pairs, gap_edge_paths, end_edge_paths
+_KINDS = 0, 1, 4, 5  # of paths over edges, by `diffraction`
+OVER_EDGES = EdgePaths.over_one, EdgePaths.over_pairs, gap_edge_paths, end_edge_paths, third_edge_paths
 OVER_BODIES = moving_edge_paths, moving_edge_pair_paths, moving_gap_paths, moving_end_paths
 ROOM_FINDERS: dict[type, RoomFinder] = {Shoebox: shoebox_paths, MeshRoom: mesh_paths}
 FAMILY_FINDERS: dict[str, FamilyFinder] = {"specular": _specular_paths}  # in the order of the rows of a PathSet

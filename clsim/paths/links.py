@@ -67,8 +67,8 @@ class Vertex(Protocol):
         Number of the kind, see `PathFamily`.
     names : tuple of str
         Objects that can be vertices.
-    objects : ndarray (P,) or (P, 2)
-        Number of each vertex, or of both edges of each, among the names.
+    objects : ndarray (P,), (P, 2) or (P, 3)
+        Number of each vertex, or of all edges of each, among the names.
     moves : bool
         Whether any vertex moves.
     radius : ndarray (P,) or float

@@ -12,7 +12,7 @@ from clsim.scene.scene import Scene
 
 DEFAULT_PATH_LIMIT = 10_000_000  # about 1.5 GiB
 DIFFRACTION_MODELS = ("utd", "btm")
-LARGEST_DIFFRACTION = 2
+LARGEST_DIFFRACTION = 3
 LARGEST_SCATTERING_ORDER = 3
 LARGEST_ROW = 2
 FINDERS = ("auto", "beam-tree", "shooting")
@@ -30,9 +30,10 @@ class PathOptions:
     max_order : int
         Largest number of reflections, 0 for the direct sound alone.
     diffraction : int
-        Largest number of edges of a path: 0, 1 or 2. With 1, paths have one edge, of the room or of a body, and up to
+        Largest number of edges of a path: 0 to 3. With 1, paths have one edge, of the room or of a body, and up to
         `max_order` reflections before and after it. With 2, paths over two edges are found as well: over two of one
-        face, or with air and reflections between them.
+        face, or with air and reflections between them. With 3, paths over three edges of the room are found as well,
+        each of which shares a face with the next. Paths by bodies have at most two edges.
     diffraction_model : {"utd", "btm"}
         Law of the field at an edge. "utd" is the uniform theory of diffraction, for some 5 kHz and more. "btm" is the
         exact field of a wedge (Biot, Tolstoy, Medwin, Svensson), for audio and for ends near an edge. Paths over two

@@ -54,8 +54,8 @@ Others = tuple[PathFamily, ...]
 
 _ON = 1e-7  # of the room's size
 _BATCH = 20_000  # candidates searched at a time
-_SAME_EVENT = 1e-4  # s between a boundary of an edge path and the beginning or end of its partner, at most
-_FARTHEST = 8  # resolutions, the same where that is more
+SAME_EVENT = 1e-4  # s between a boundary of an edge path and the beginning or end of its partner, at most
+FARTHEST = 8  # resolutions, the same where that is more
 
 
 class EdgePaths:
@@ -78,26 +78,38 @@ class EdgePaths:
         return self.chain(rows, EdgePairVertex(**self.both_edges(rows)))
 
     def rows(
-        self, kind: Callable[[EdgeReach], Requested], others: Others, progress: Progress | None, fewest: int = 1
+        self,
+        kind: Callable[[EdgeReach], Requested],
+        others: Others,
+        progress: Progress | None,
+        fewest: int = 1,
+        rows: Any = None,
     ) -> Found:
         """Find paths of all sources, sorted by source, receiver, order, objects and time."""
         found: Found = []
         for source in range(len(self.scene.sources) if len(self.edges) >= fewest else 0):
-            found += self._rows_of(source, kind, _AdjacentPaths(others, source), progress or self.search.notify)
+            found += self._rows_of(
+                source, (kind, rows or _rows), AdjacentPaths(others, source), progress or self.search.notify
+            )
         walls = "before", "between", "after"
         found.sort(key=lambda r: (r["source"], r["receiver"], sum(len(r[name]) for name in walls), *r["edges"],
                                   r["end_of"], *(wall for name in walls for wall in r[name]), r["start"]))  # fmt: skip
         return found
 
     def _rows_of(
-        self, source: int, kind: Callable[[EdgeReach], Requested], adjacent: _AdjacentPaths, notify: Progress
+        self,
+        source: int,
+        kinds: tuple[Callable[[EdgeReach], Requested], Any],
+        adjacent: AdjacentPaths,
+        notify: Progress,
     ) -> Found:
         """Find the paths of a source."""
         found: Found = []
         reach, count, limit = self._reach(source), len(self.scene.sources), self.search.path_limit
         done = source / count
+        kind, rows_of = kinds
         for share, candidates in kind(reach):
-            rows = _rows(reach, candidates, adjacent, partial(notify, done))
+            rows = rows_of(reach, candidates, adjacent, partial(notify, done))
             found += [{**row, "source": source} for row in rows]
             if len(found) > limit:
                 raise InputError("max_order", f"must give at most {limit} paths over edges (path_limit)")
@@ -140,8 +152,8 @@ class EdgePaths:
     def chain(self, rows: Found, vertex: EdgeVertex) -> Chain:
         """Make paths over vertices, with one time for each event at which one takes over from another."""
         count, edges, order = len(rows), len(vertex.lines), self.order
-        objects = np.full((count, order + 2), -1, dtype=np.int32)
-        kinds = np.full((count, order + 2), NONE, dtype=np.int8)
+        objects = np.full((count, order + 3), -1, dtype=np.int32)
+        kinds = np.full((count, order + 3), NONE, dtype=np.int8)
         for i, r in enumerate(rows):
             n, m = len(r["before"]), len(r["after"])
             first, last = r["edges"]
@@ -149,10 +161,13 @@ class EdgePaths:
             if r["end_of"] >= 0:
                 for place, end in ends_of(r["end_of"]):
                     things[-place] = edges + 2 * r["edges"][place] + end
-            objects[i, : n + m + len(things)] = [*r["before"], *things, *r["after"][::-1]]
             met = [DIFFRACTION, *[SPECULAR] * len(r["between"]), DIFFRACTION][: len(things)]
+            if "third" in r:
+                things.insert(0 if r["leads"] else 2, r["third"])
+                met.append(DIFFRACTION)
+            objects[i, : n + m + len(things)] = [*r["before"], *things, *r["after"][::-1]]
             kinds[i, : n + m + len(things)] = [SPECULAR] * n + met + [SPECULAR] * m
-        longest = order + max((1 + (r["faces"][0] >= 0) for r in rows), default=1)
+        longest = order + max((1 + (r["faces"][0] >= 0) + ("third" in r) for r in rows), default=1)
         objects, kinds = read_only(objects[:, :longest]), read_only(kinds[:, :longest])
         legs = self._leg([r["before"] for r in rows]), self._leg([r["after"] for r in rows])
         columns: dict[str, Any] = {
@@ -164,7 +179,7 @@ class EdgePaths:
         }
         held = {name: read_only(column) for name, column in columns.items()}
         family = Chain(scene=self.scene, **held, interactions=kinds, objects=objects, legs=legs, vertex=vertex)
-        return with_swaps(family, _FARTHEST * resolution_of(self.scene, self.search.resolution))
+        return with_swaps(family, FARTHEST * resolution_of(self.scene, self.search.resolution))
 
     def _leg(self, sequences: list[NDArray[np.int32]]) -> StaticLeg:
         """Make legs by sequences of walls."""
@@ -279,7 +294,7 @@ def _requested(reach: EdgeReach, vertices: list[Any]) -> Requested:
             yield (done + 1) / len(numbers), EdgeCandidates.joined(parts)
 
 
-class _AdjacentPaths:
+class AdjacentPaths:
     """When other paths begin and end, by receiver, walls and edges."""
 
     def __init__(self, others: tuple[PathFamily, ...], source: int) -> None:
@@ -300,12 +315,12 @@ class _AdjacentPaths:
 
 
 def _rows(
-    reach: EdgeReach, wanted: EdgeCandidates, adjacent: _AdjacentPaths, notify: Callable[[], None]
+    reach: EdgeReach, wanted: EdgeCandidates, adjacent: AdjacentPaths, notify: Callable[[], None]
 ) -> Iterator[dict[str, Any]]:
     """Yield paths that candidates give, with the times of their partners."""
     finder, query = reach.finder, reach.finder.query
     pieces = find_pieces(finder, wanted, reach.order, notify)
-    within = max(_SAME_EVENT, _FARTHEST * query.resolution)
+    within = max(SAME_EVENT, FARTHEST * query.resolution)
     begin, end, of_pairs = pieces.begin.copy(), pieces.end.copy(), wanted.over_ends_of_pairs
     for i in range(1, len(pieces.row)):
         row = pieces.row[i]

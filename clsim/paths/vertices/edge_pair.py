@@ -27,7 +27,7 @@ from clsim.scene.scene import Scene
 FaceTerms = tuple[Floats, list[Any], list[Any]]
 Law = Callable[[Any, Any, Any, Any], Any]
 
-_SOFTEST = 1e-3  # least magnitude of one and the factor of the face between
+SOFTEST = 1e-3  # least magnitude of one and the factor of the face between
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,7 +168,7 @@ class EdgePairVertex(EdgeVertex):
         both: Any = 1.0 + factor
         twice = np.where((self.n < 1.0)[:, None], self.lit[:, :2], self.lit[:, 2:])
         both = np.where(np.any(twice, axis=1)[:, None, None], both, 1.0)
-        return np.where(np.abs(both) > _SOFTEST, both, _SOFTEST)
+        return np.where(np.abs(both) > SOFTEST, both, SOFTEST)
 
     @staticmethod
     def _terms(

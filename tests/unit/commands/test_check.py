@@ -109,7 +109,7 @@ def test_run_draws_how_paths_come_and_go(corner_scene: Path, tmp_path: Path, cap
         (("transition = 0.002", 'transition = "slow"'), "render.transition: must be"),
         (
             ("max_order = 2", "max_order = 2\ndiffraction = 7"),
-            "scene.toml: paths.diffraction: must be from 0 to 2, but is 7",
+            "scene.toml: paths.diffraction: must be from 0 to 3, but is 7",
         ),
         (("max_order = 2", "max_order = 2\npath_limit = 3"), "paths.max_order: must give at most 3 paths (path_limit)"),
     ],

@@ -26,6 +26,7 @@ FOUND = {
     "static exact edge": ({"diffraction": 1, "diffraction_model": "btm"}, ""),
     "static edge pair": ({"diffraction": 2}, ""),
     "static edge gap": ({"diffraction": 2}, ""),
+    "static three edges": ({"diffraction": 3, "max_order": 0}, ""),
     "static scatterer": ({"scattering_order": 0}, "scatterers"),
     "static edge scatterer": ({"diffraction": 1, "edge_scattering": True}, "scatterers"),
     "static scatterer edge": ({"diffraction": 1, "edge_scattering": True}, "scatterers"),
