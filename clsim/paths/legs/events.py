@@ -58,6 +58,12 @@ class Events:
     share: Floats
     cosine: Floats  # (P, T, N) of the angle of incidence
 
+    def replaced(self, rows: NDArray[np.int64], again: Events) -> Events:
+        """Write events of some of the rows, and return these."""
+        for name in (f.name for f in fields(Events)):
+            getattr(self, name)[rows] = getattr(again, name)
+        return self
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ends:
@@ -115,14 +121,7 @@ def find_events(
     coarse = search.surely_solved(walls, moments[few], rounds)
     found, left, _ = search.solved(walls, moments, _Known.between(coarse, moments, few), _FEW_ROUNDS)
     rows = np.flatnonzero(left > _FOUND)
-    return _replaced(found, rows, search.surely_solved(walls[rows], moments, rounds)) if len(rows) else found
-
-
-def _replaced(found: Events, rows: NDArray[np.int64], again: Events) -> Events:
-    """Write events of some of the rows."""
-    for name in (f.name for f in fields(Events)):
-        getattr(found, name)[rows] = getattr(again, name)
-    return found
+    return found.replaced(rows, search.surely_solved(walls[rows], moments, rounds)) if len(rows) else found
 
 
 def few_of(times: Floats) -> NDArray[np.int64] | None:
@@ -174,7 +173,7 @@ class _Search:
             motion: Any = tuple(end.part(rows) if hasattr(end, "part") else end for end in self.motion)
             search, some = replace(self, motion=motion, mixes=True), times[rows] if times.ndim > 1 else times
             again, _, strays[rows] = search.solved(walls[rows], some, None, more)
-            _replaced(found, rows, again)
+            found.replaced(rows, again)
         return found
 
     def solved(
