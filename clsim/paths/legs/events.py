@@ -58,12 +58,6 @@ class Events:
     share: Floats
     cosine: Floats  # (P, T, N) of the angle of incidence
 
-    def replaced(self, rows: NDArray[np.int64], again: Events) -> Events:
-        """Write events of some of the rows, and return these."""
-        for name in (f.name for f in fields(Events)):
-            getattr(self, name)[rows] = getattr(again, name)
-        return self
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ends:
@@ -121,7 +115,10 @@ def find_events(
     coarse = search.surely_solved(walls, moments[few], rounds)
     found, left, _ = search.solved(walls, moments, _Known.between(coarse, moments, few), _FEW_ROUNDS)
     rows = np.flatnonzero(left > _FOUND)
-    return found.replaced(rows, search.surely_solved(walls[rows], moments, rounds)) if len(rows) else found
+    again = search.surely_solved(walls[rows], moments, rounds) if len(rows) else None
+    for name in () if again is None else (f.name for f in fields(Events)):
+        getattr(found, name)[rows] = getattr(again, name)
+    return found
 
 
 def few_of(times: Floats) -> NDArray[np.int64] | None:
@@ -173,7 +170,8 @@ class _Search:
             motion: Any = tuple(end.part(rows) if hasattr(end, "part") else end for end in self.motion)
             search, some = replace(self, motion=motion, mixes=True), times[rows] if times.ndim > 1 else times
             again, _, strays[rows] = search.solved(walls[rows], some, None, more)
-            found.replaced(rows, again)
+            for name in (f.name for f in fields(Events)):
+                getattr(found, name)[rows] = getattr(again, name)
         return found
 
     def solved(
