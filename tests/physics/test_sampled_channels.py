@@ -28,9 +28,9 @@ from clsim.render.channel_grid import (
     window_table,
 )
 from clsim.render.methods.per_sample import ReferenceEngine
-from clsim.render.opencl import branch_signals, channel_engine
+from clsim.render.opencl import branch_signals, channel_engine, nodes
 from clsim.render.opencl.channel_engine import ChannelEngine, TaperedEngine
-from clsim.render.plan import Plan
+from clsim.render.plan import Plan, node_times
 from clsim.render.planning import on_device
 from clsim.render.render import record
 
@@ -217,6 +217,29 @@ def test_pieces_go_on_bit_for_bit_and_chunks_hardly_matter() -> None:
     pieces = [piece for _, piece in clsim.render_chunks(envelopes, first=envelopes.chunk)]
     assert len(pieces) > 1
     np.testing.assert_array_equal(np.concatenate(pieces, axis=1), record(envelopes).samples[:, envelopes.chunk :])
+
+
+def test_receivers_are_known_at_all_instants_that_kernels_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gains are told from the nodes of whole stretches of blocks, also behind the last block of a slow run."""
+    asked: list[tuple[int, int]] = []
+
+    def kept(start: int, block: int, count: int, rate: float) -> Any:
+        asked.append((block, count))
+        return node_times(start, block, count, rate)
+
+    monkeypatch.setattr(nodes, "node_times", kept)
+    source = clsim.Source("s", clsim.Signal.noise(4.0, RATE, 1), clsim.Trajectory.fixed((4.0, 3.0, 1.0)))
+    ear = clsim.Receiver("r", clsim.Trajectory.line((3.0, 2.4, 1.2), (3.01, 2.41, 1.2), 4.0))
+    slow = clsim.Scene(
+        clsim.Shoebox((5.0, 4.0, 3.0), clsim.Material.from_reflection(0.8)), clsim.Air(), [source], [ear]
+    )
+    plan = planned(slow)
+    sound(plan)
+    blocks = [plan.segment // block for block, _ in asked]
+    assert any(each % 24 for each in blocks), "a stretch has 24 blocks (smooth.h)"
+    for each, (_, count) in zip(blocks, asked, strict=True):
+        segments = (count - 4) // each
+        assert count >= (segments - 1) * each + -(-each // 24) * 24 + 4
 
 
 def test_what_is_handed_over_goes_on_bit_for_bit_and_goes_with_its_plan() -> None:

@@ -21,6 +21,7 @@ from clsim.render.opencl.path_columns import COLUMNS, OF_DELAYS, OF_GAINS, Rende
 from clsim.render.plan import Plan, node_times
 from clsim.tracks.tracks import SceneTracks
 
+_STRETCH = 24  # blocks whose gains are told from nodes of them all, also behind the last segment: see smooth.h
 _MOST_TURN = 0.1  # rad that ends may turn in a block: beams that turn faster are looked at in every block
 
 
@@ -187,7 +188,8 @@ class NodeMaker:
         found = np.empty((segments, batch.count, 4), dtype=np.float32)
         residual = np.empty((segments, batch.count), dtype=np.float32)
         there = [self._scratch.take(name, to.nbytes) for name, to in (("found", found), ("residual", residual))]
-        receivers = self._receivers_at(batch, node_times(start, block, segments * (plan.segment // block) + 4, rate))
+        count = segments * (plan.segment // block) + -(plan.segment // block) % _STRETCH + 4
+        receivers = self._receivers_at(batch, node_times(start, block, count, rate))
         active_from, active_until = chunk.bounds.samples_from(start)
         env = self._environments[chunk.source]
         reception = env.reception(channels)
