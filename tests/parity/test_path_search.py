@@ -180,7 +180,7 @@ MUTANTS = {
     "another receiver": ("1 + receiver_of[path]", "1"),
     "mirrored in the wrong order": ("for (int k = ORDER; k > 0; k--) image", "for (int k = 1; k < ORDER + 1; k++) image"),
     "ends of a leg block it": ("if (wall < 0 || same_plane(walls, sequence, leg, wall) ||", "if (wall < 0 || same_plane(walls, sequence, leg + 1, wall) ||"),
-    "walls a little larger": (">= -walls->tolerance", ">= -0.002"),
+    "walls a little larger": ("piece_at(walls, wall, x, walls->tolerance)", "piece_at(walls, wall, x, 0.002)"),
     "emission at reception": ("const double emitted = time - a.delay;", "const double emitted = time;"),
     "speeds of half the span": ("emitted - time_dilation * within, emitted + time_dilation * within", "emitted, emitted"),
     "the source moves half as far": ("within * time_dilation * speed_over(&s->source", "within * 0.3 * speed_over(&s->source"),

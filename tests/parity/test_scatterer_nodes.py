@@ -76,7 +76,8 @@ def paths(air: clsim.Air | None = None, phased: bool = False) -> PathSet:
 @cache
 def plan(of: PathSet, **options: str) -> Plan:
     """Return the plan, or that of all paths together, whose fields vary over frequency."""
-    made = plan_render(of, RATE, duration=SAMPLES / RATE, convolve_static=False, **options)
+    exact = {"convolve_static": False, "scattering_error_db": -90.0}
+    made = plan_render(of, RATE, duration=SAMPLES / RATE, **exact, **options)
     return next((part.plan for part in made.allocation.scattered), made)
 
 

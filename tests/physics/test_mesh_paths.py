@@ -1,5 +1,6 @@
 """Paths in meshes against closed forms and against a brute force that shares no code with them."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from scenes import DATA
 import clsim
 from clsim.numerics.quaternions import rotate
 from clsim.paths.path_set import PathSet
-from clsim.paths.visibility import edge_intervals as pieces
+from clsim.paths.visibility import edge_intervals, intervals
 from clsim.paths.visibility.edges import EdgeVisibility
 from clsim.scene.room.mesh_files import read_mesh
 
@@ -34,10 +35,10 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fail where sides of paths are asked for too often."""
     asked, sides = [0], EdgeVisibility.sides
 
-    def counting(self, query, which, time, half):
+    def counting(self, which, time, half):
         asked[0] += len(which)
         assert asked[0] < MOST
-        return sides(self, query, which, time, half)
+        return sides(self, which, time, half)
 
     monkeypatch.setattr(EdgeVisibility, "sides", counting)
 
@@ -51,7 +52,8 @@ def test_a_walk_on_the_diagonal_of_an_l(counted: None) -> None:
 
 
 def test_endless_searches_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pieces, "MOST_EVALUATIONS", 500)
+    few = SimpleNamespace(**vars(intervals) | {"MOST_EVALUATIONS": 500})
+    monkeypatch.setattr(edge_intervals, "intervals", few)  # reflections take more than these
     with pytest.raises(clsim.InputError, match=r"diffraction: must let .* 500 .*lower max_order, or give a larger res"):
         on_the_diagonal(0.0)
 
