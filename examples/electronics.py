@@ -15,6 +15,7 @@ import clsim
 
 RATE = 192e3  # Hz
 BURST = 0.4e-3  # s: 16 periods
+WIDTH = 2.4e3  # Hz, between the -6 dB points of both transducers
 
 
 def main() -> None:
@@ -58,7 +59,7 @@ def draw(speaker: clsim.Source, ear: clsim.Receiver, recording: clsim.Recording,
     drive.plot(times, voltage, color="black", linewidth=0.8)
     drive.set(title="drive voltage: 16 periods of 40 kHz", ylabel="V", xlim=(0, times[-1]))
     emitted.plot(times, pressure, color="#1f77b4", linewidth=0.8)
-    decay = np.sqrt(3) / (np.pi * speaker.transducer.model.width)
+    decay = np.sqrt(3) / (np.pi * WIDTH)
     after = times >= 1e3 * BURST
     envelope = pressure[~after].max() * np.exp(-(times - 1e3 * BURST) / (1e3 * decay))
     label = f"decay with √3 / (π 2.4 kHz) = {1e3 * decay:.2f} ms"
