@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 from collections.abc import Callable
 from typing import Any, ParamSpec, Protocol, TypeVar
 
@@ -58,7 +59,8 @@ def keywords_of(make: Callable[P, O], kind: type[V]) -> Callable[[Callable[[V, O
 
 def with_options_listed(docstring: str | None, options: Any) -> str:
     """Return a docstring in which the line of the options, and what is indented below, is what their own one says."""
-    own = inspect.cleandoc(options.__doc__ or "").partition("----------\n")[2].partition("\n\nRaises")[0]
+    listed = inspect.cleandoc(options.__doc__ or "").partition("----------\n")[2]
+    own = re.split(r"\n\n\w+\n-+\n", listed)[0]  # up to the next section
     before, _, after = inspect.cleandoc(docstring or "").partition(f"options : {options.__name__}\n")
     rest = after.partition("\n\n")
     return before + own + rest[1] + rest[2] if after else before
