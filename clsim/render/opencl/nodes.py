@@ -21,7 +21,7 @@ from clsim.render.opencl.path_columns import COLUMNS, OF_DELAYS, OF_GAINS, Rende
 from clsim.render.plan import Plan, node_times
 from clsim.tracks.tracks import SceneTracks
 
-_STRETCH = 24  # blocks whose gains are told from nodes of them all, also behind the last segment: see smooth.h
+_STRETCH = 24  # blocks whose gains are interpolated from nodes of them all, see smooth.h
 _MOST_TURN = 0.1  # rad that ends may turn in a block: beams that turn faster are looked at in every block
 
 
@@ -178,8 +178,7 @@ class NodeMaker:
 
         plan, batch, rate = self._plan, chunk.batch, self._plan.sampling_rate
         filters = plan.source_filters[chunk.source]
-        segments = -(-blocks * block // plan.segment)
-        channels = self._channels(batch)
+        segments, channels = -(-blocks * block // plan.segment), self._channels(batch)
         terms = plan.delay_terms + 4 * len(filters.basis) * channels
         # Sums of envelopes round the delays of all paths of a batch, also of those that only fill it up.
         zeros, size = plan.delay_terms == 8, 4 * (terms * blocks * batch.count + VECTOR)
@@ -206,8 +205,8 @@ class NodeMaker:
             "angular_frequency": 2.0 * math.pi * filters.swiftness, "max_rate": self._max_rates[chunk.source],
             "origin": start - chunk.first, "air_and_functions": env.air,
         }  # fmt: skip
-        shape = self._shape(chunk.source, block, batch)
-        self._launch(chunk, start, segments, receivers, made | env.tables | cells | shape)
+        made |= env.tables | cells | self._shape(chunk.source, block, batch)
+        self._launch(chunk, start, segments, receivers, made)
         if meanwhile is not None:
             meanwhile()
         cl.enqueue_copy(self._queue, found, there[0])
