@@ -44,7 +44,8 @@ def main(arguments: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (ClsimError, OSError) as error:
-        if _VERBOSE & set(_before(given)):
+        before_command: list[str] = list(takewhile(lambda argument: argument.startswith("-"), given))
+        if _VERBOSE & set(before_command):
             traceback.print_exc()
         return _failed(f"clsim: error: {error}", error, 2)
     except MemoryError as error:
@@ -59,11 +60,6 @@ def _failed(message: str, error: BaseException, status: int) -> int:
     text = as_toml(" ".join("; ".join([message, *getattr(error, "__notes__", [])]).split()))
     print(shown(text), file=sys.stderr)
     return status
-
-
-def _before(arguments: list[str]) -> list[str]:
-    """Return the arguments that precede the command."""
-    return list(takewhile(lambda argument: argument.startswith("-"), arguments))
 
 
 class _Parser(argparse.ArgumentParser):
@@ -84,7 +80,7 @@ class _Parser(argparse.ArgumentParser):
 def _listed() -> str:
     """All commands in their groups, each group with an example, and what the exit status says."""
     lines = []
-    for name, text in COMMANDS.items():
+    for name, (_, text) in COMMANDS.items():
         if name in GROUPS:
             title, example = GROUPS[name]
             lines += ["", f"{title}, such as `{example}`:"]
@@ -110,12 +106,12 @@ def _options(arguments: list[str]) -> argparse.Namespace:
             "COMMAND", f"must be one that `clsim --help` lists, but is {called!r:.80}{meant(called, COMMANDS)}"
         )
     parser_called = parser
-    for name, text in COMMANDS.items():
+    for name, (home, text) in COMMANDS.items():
         command = commands.add_parser(name, description=f"{text[0].upper()}{text[1:]}.")
         if name == called:
-            module = import_module(f"clsim.commands.{name.replace('-', '_')}")
-            module.add_arguments(command)
-            command.set_defaults(execute=module.execute)
+            module, word = import_module(f"clsim.commands.{home}"), name.replace("-", "_")
+            getattr(module, f"{word}_arguments")(command)
+            command.set_defaults(execute=getattr(module, word))
             parser_called = command
     if completed is not None:
         import argcomplete

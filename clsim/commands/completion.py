@@ -7,13 +7,13 @@ import argparse
 from clsim.errors import check_packages
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def completion_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "shell", choices=("bash", "zsh", "fish"), help='for bash: eval "$(clsim completion bash)" in ~/.bashrc'
     )
 
 
-def execute(options: argparse.Namespace) -> int:
+def completion(options: argparse.Namespace) -> int:
     """Print the script; return the exit status."""
     check_packages("completion", "completion", "completion", "argcomplete")
     from argcomplete.shell_integration import shellcode

@@ -1,4 +1,4 @@
-"""`clsim devices`: the OpenCL devices of this machine, and whether one computes as it should."""
+"""`clsim devices` and `warm-up`: whether a device computes as it should, and kernels built before they are needed."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from clsim.commands.arguments import add_render_option
 from clsim.errors import DeviceError
 from clsim.opencl.device import DeviceInfo, find_device, list_devices, no_device
 from clsim.paths.find_paths import find_paths
@@ -21,16 +22,19 @@ from clsim.render.opencl.engine import OpenclEngine
 from clsim.render.opencl.nodes import Nodes
 from clsim.render.plan import Plan
 from clsim.render.planning import plan_render
+from clsim.render.render import render
 from clsim.scene.air import Air
 from clsim.scene.directivity.patterns import FirstOrder, Piston
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.material.material import Material
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.protocol import Room
 from clsim.scene.room.shoebox import Shoebox
 from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.version import __version__
+from clsim.workflow.console import built_programs, progress
 
 RATE = 192e3
 PROMISED_DB = -85.0  # relative to the received signal, at default settings
@@ -157,7 +161,7 @@ def _plan(device: str, room: Shoebox | MeshRoom, signal: Signal, beams: tuple[An
     return plan_render(find_paths(scene, 1), RATE, device=device, duration=_DURATION, **options)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def devices_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--test", nargs="?", const="", metavar="DEVICE",
         help="compare a device, by id or part of its name, with the reference engine, and measure its rates; the "
@@ -165,7 +169,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def execute(options: argparse.Namespace) -> int:
+def devices(options: argparse.Namespace) -> int:
     """List the devices, or test one; return the exit status, 1 if a test fails."""
     if options.test is not None:
         report = put_to_test(options.test or None, lambda text: print(text, flush=True))
@@ -183,3 +187,44 @@ def execute(options: argparse.Namespace) -> int:
             f"{info.memory_bytes / 2**30:.1f} GiB, {tracks})"
         )
     return 0
+
+
+_EACH = 0.05  # s of each scene: long enough for all kernels, which do not know how long a run is
+
+
+def warm_up_arguments(parser: argparse.ArgumentParser) -> None:
+    add_render_option(parser, "device", 'an OpenCL device, such as "0:0" or part of its name (default: the best)')
+
+
+def warm_up(options: argparse.Namespace) -> int:
+    """Render small scenes of common kinds and forget them; return the exit status."""
+    device, _ = find_device(options.device)
+    begun = time.monotonic()
+    wall = Material.from_reflection(0.9)
+    box = Shoebox(size=np.array([8.0, 9.0, 3.0]), walls=wall)
+    corner = MeshRoom.from_plan([(0, 0), (8, 0), (8, 4), (4, 4), (4, 9), (0, 9)], 3.0, wall)
+    chirp = Signal.chirp(30e3, 50e3, 0.002, RATE, window="tukey")
+    scenes: list[tuple[Room, Signal]] = [
+        (box, Signal.tone(40e3, _EACH, RATE, fade=0.01)),  # on and on
+        (box, Signal.tone(40e3, 5.0 * _EACH, RATE)),  # abrupt ends: several functions of frequency
+        (box, Signal.pulses(chirp, 0.5 * _EACH, 2)),  # with pauses
+        (corner, Signal.chirp(30e3, 50e3, _EACH, RATE, window="tukey")),  # paths that begin and end
+    ]
+    with progress("building kernels (once)", len(scenes)) as advance, built_programs() as built:
+        for room, signal in scenes:
+            _warm(signal, room, device.id)
+            advance(1.0)
+    spent = time.monotonic() - begun
+    print(f"{built.count} programs are ready on {device.name}, in {spent:.1f} s")
+    return 0
+
+
+def _warm(signal: Signal, room: Room, device: str) -> None:
+    """Render a source that passes the corner at 6 m/s, for receivers at rest and in motion."""
+    walk = Trajectory.line((3.6, 4.55, 1.5), (3.6, 4.55 - 6.0 * signal.duration, 1.5), signal.duration)
+    source = Source("source", signal, walk)
+    at_rest = Receiver("at rest", Trajectory.fixed((7.0, 1.0, 2.0)))
+    moving = Receiver("moving", Trajectory.line((1.0, 7.0, 1.0), (1.1, 7.1, 1.0), signal.duration))
+    for receivers in ([at_rest], [at_rest, moving]):
+        scene = Scene(room, Air(), [source], receivers)
+        render(find_paths(scene, 1, device=device), RATE, device=device)

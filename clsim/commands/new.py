@@ -1,4 +1,4 @@
-"""`clsim new`: a scene file to begin with."""
+"""`clsim new` and `schema`: a scene file to begin with, and what editors need to know of such files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from clsim.files.input_files import LARGEST_TEXT, read_file, shown
 from clsim.scene.material.material import Material
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.room.mesh import MeshRoom
-from clsim.scene_file.scene import build_scene
+from clsim.scene_file.scene import build_scene, scene_schema
 
 _SIZE = (8.0, 6.0, 3.0)  # m, of a room of which nothing is known
 _MARGIN = 1.0  # m, about a trajectory
@@ -26,7 +26,7 @@ _LONGEST = 2.0  # s of sound
 _NANOSECONDS = 10**15  # from which on a first number is one of EuRoC's stamps
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def new_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", type=Path, help="scene file (TOML) that is written")
     add_force(parser)
     parser.add_argument("--mesh", type=Path, metavar="FILE", help="the room: OBJ, STL, PLY, GLB or OFF")
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def execute(options: argparse.Namespace) -> int:
+def new(options: argparse.Namespace) -> int:
     """Write the scene file; return the exit status."""
     inputs = [path for path in (options.mesh, options.trajectory) if path is not None]
     target = NewFile(options.scene, inputs, options.force)
@@ -134,3 +134,13 @@ def _relative(path: Path, base: Path) -> str:
 
 def _text(place: Floats) -> str:
     return "[" + ", ".join(f"{x + 0.0:.3f}" for x in place) + "]"
+
+
+def schema_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command, which has none."""
+
+
+def schema(options: argparse.Namespace) -> int:
+    """Print it; return the exit status."""
+    print(json.dumps(scene_schema(), indent=1))
+    return 0

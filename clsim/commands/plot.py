@@ -1,4 +1,4 @@
-"""`clsim plot`: pictures of the directivities of a scene, and of what air absorbs."""
+"""`clsim plot` and `materials`: pictures of directivities and air, and the built-in materials, listed or drawn."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import numpy as np
 
 from clsim.arrays import Floats, as_number
 from clsim.commands.arguments import add_output
-from clsim.errors import InputError, check_pictures, inside, not_one_of, with_field
+from clsim.errors import InputError, check_pictures, inside, meant, not_one_of, with_field
 from clsim.files.atomic import NewFile
-from clsim.output.plots import DirectivityDiagram, air_picture, directivity_picture
+from clsim.output.plots import DirectivityDiagram, air_picture, directivity_picture, reflection_loss, reflection_losses
 from clsim.scene.air import Air
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.ends import Source
+from clsim.scene.material.material import LIBRARY, MATERIAL_NAMES, Material
 from clsim.scene.scene import Scene
 from clsim.scene_file import load_scene
 from clsim.scene_file.ends import DirectivityTableModel, SofaModel
@@ -25,7 +26,7 @@ _MOST_CURVES = 5
 _USUAL = (20e3, 40e3, 60e3)  # Hz, of a directivity that is known everywhere
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def plot_arguments(parser: argparse.ArgumentParser) -> None:
     pictures = parser.add_subparsers(required=True, metavar="PICTURE")
     directivity = pictures.add_parser(
         "directivity", help="of a scene's sources and receivers, of a transducer or of a table"
@@ -52,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         add_output(picture, "", f"{picture.prog.split()[-1]}.png")
 
 
-def execute(options: argparse.Namespace) -> int:
+def plot(options: argparse.Namespace) -> int:
     """Draw the picture; return the exit status."""
     if options.output.suffix.lower() != ".png":
         raise InputError("--output", f"must end in .png, but is {options.output}")
@@ -87,14 +88,16 @@ def _diagrams(options: argparse.Namespace) -> tuple[list[DirectivityDiagram], li
     if options.scene is not None:
         file = load_scene(options.scene)
         return _scene_diagrams(file.scene, options.end, wanted), input_files(options.scene, file)
-    directivity = _read(options)
+    directivity = _read_directivity(options)
     frequencies = _usual_frequencies(directivity) if wanted is None else wanted
     title = options.name if options.name is not None else options.table.stem
-    diagram = _checked(DirectivityDiagram(title, directivity, frequencies, Air().speed_of_sound), "--frequencies")
+    diagram = _checked_diagram(
+        DirectivityDiagram(title, directivity, frequencies, Air().speed_of_sound), "--frequencies"
+    )
     return [diagram], [] if options.table is None else [options.table]
 
 
-def _read(options: argparse.Namespace) -> Directivity:
+def _read_directivity(options: argparse.Namespace) -> Directivity:
     """Return the directivity of a name or of a table's file."""
     if options.name is not None:
         with with_field("--name"):
@@ -130,7 +133,7 @@ def _scene_diagrams(scene: Scene, end: str | None, wanted: Floats | None) -> lis
                 frequencies = _usual_frequencies(item.directivity)
         what = "source" if isinstance(item, Source) else "receiver"
         diagram = DirectivityDiagram(f"{what} {item.name}", item.directivity, frequencies, scene.air.speed_of_sound)
-        diagrams.append(_checked(diagram, f"--frequencies (for {item.name})"))
+        diagrams.append(_checked_diagram(diagram, f"--frequencies (for {item.name})"))
     return diagrams
 
 
@@ -145,8 +148,49 @@ def _usual_frequencies(directivity: Directivity) -> Floats:
     return np.unique(np.linspace(low, high, _MOST_CURVES))
 
 
-def _checked(diagram: DirectivityDiagram, field: str) -> DirectivityDiagram:
+def _checked_diagram(diagram: DirectivityDiagram, field: str) -> DirectivityDiagram:
     low, high = diagram.directivity.band
     for f in diagram.frequencies[(diagram.frequencies < low) | (diagram.frequencies > high)][:1]:
         raise InputError(field, f"must lie within the table, {low:.6g} to {high:.6g} Hz, but has {f:.6g} Hz")
     return diagram
+
+
+def materials_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.description = "List the built-in materials, with sources and uncertainty, or draw what they send back."
+    parser.add_argument("names", nargs="*", metavar="NAME", help="material (default: all)")
+    add_output(parser, "draw them to this PNG instead")
+    parser.add_argument(
+        "--frequency", type=float, default=40e3, metavar="HZ", help="frequency of the angles shown (default: 40000)"
+    )
+
+
+def materials(options: argparse.Namespace) -> int:
+    """List the materials that were named, or all, or draw them; return the exit status."""
+    names = list(dict.fromkeys(options.names)) or list(MATERIAL_NAMES)
+    for name in names:
+        if name not in LIBRARY:
+            problem = f"must be a built-in material (`clsim materials` lists them), but is {name!r:.80}"
+            raise InputError("NAME", problem + meant(name, LIBRARY))
+    if not (np.isfinite(options.frequency) and options.frequency > 0.0):
+        raise InputError("--frequency", f"must be finite and above 0 Hz, but is {options.frequency:g} Hz")
+    if options.output is not None:
+        check_pictures("--output")
+    materials = [Material.named(name) for name in names]
+    if options.output is not None:
+        target = NewFile(options.output, [], options.force)
+        reflection_losses(materials, target.ready(), frequency=options.frequency)
+        print(target.path)
+        return 0
+    print(f"{'name':<27} {'known (Hz)':<14} {f'loss at {options.frequency / 1e3:g} kHz':<17} what")
+    for material in materials:
+        low, high = material.band
+        known = f"{low:g} to {high:g}" if np.isfinite(high) else "all"
+        loss = float(reflection_loss(material, np.array([options.frequency]), np.ones(1))[0]) + 0.0
+        held = "" if low <= options.frequency <= high else " held"
+        print(f"{material.name:<27} {known:<14} {f'{loss:.2f} dB{held}':<17} {LIBRARY[material.name].what}")
+    print("\nsources and uncertainty (tables: of the absorption; estimates: of the factor)")
+    for source in dict.fromkeys(LIBRARY[name].source for name in names):
+        print(f"{source}")
+        for name in (n for n in names if LIBRARY[n].source == source):
+            print(f"  {name}: {LIBRARY[name].uncertainty}")
+    return 0

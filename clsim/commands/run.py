@@ -26,7 +26,7 @@ _OVERRIDES = {  # of the scene file's [render]
 }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def run_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     parser.add_argument("-o", "--output", type=as_path, required=True, metavar="FOLDER", help="folder of the results")
     parser.add_argument("--force", action="store_true", help="overwrite results that clsim wrote there")
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         add_render_option(parser, name, text)
 
 
-def execute(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
     """Render a scene file into a folder; return the exit status."""
     workers = _workers(options)
     file = load_scene(options.scene)

@@ -55,7 +55,7 @@ for line in sys.stdin:
     print(-os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.WEXITSTATUS(status), flush=True)
 """
 _LOADED = (
-    "clsim.commands.run", "clsim.workflow.pictures", "clsim.commands.rir", "clsim.commands.paths", "clsim.commands.view", "soundfile", "zarr",
+    "clsim.commands.run", "clsim.workflow.pictures", "clsim.commands.scenes", "soundfile", "zarr",
     "xarray", "h5netcdf", "h5py", "scipy.signal", "pydantic", "tomli_w",
 )  # fmt: skip
 

@@ -25,7 +25,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"(?<!-->\n)^```(python|sh|toml)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 # What most pages and notebooks load, all together some seconds.
 LOADED = [
-    "clsim.workflow.pipeline", "clsim.commands.rir", "clsim.commands.run", "clsim.pictures.plots", "clsim.render.opencl.engine",
+    "clsim.workflow.pipeline", "clsim.commands.scenes", "clsim.commands.run", "clsim.pictures.plots", "clsim.render.opencl.engine",
     "clsim.study.run", "clsim.score", "scipy.signal", "xarray", "zarr", "matplotlib.pyplot", "trimesh",
 ]  # fmt: skip
 # What commands need that a test cannot give: a cluster, root's rights, another machine, the network.

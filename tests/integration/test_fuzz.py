@@ -21,7 +21,7 @@ import tomli_w
 from exhaustive import few
 
 import clsim
-from clsim.commands.check import execute
+from clsim.commands import scenes
 from clsim.errors import ClsimError, InputError
 from clsim.scene_file import load_scene
 from clsim.study.file import checked, load_study
@@ -87,7 +87,7 @@ def complaint(work: Callable[[], object]) -> str:
 
 def check(path: Path, number: int) -> None:
     """Do what `clsim check` does, and now and then render the beginning; at round places until echoes have arrived."""
-    execute(argparse.Namespace(scene=path))
+    scenes.check(argparse.Namespace(scene=path))
     if number // 2 % RENDERED:
         return
     file = load_scene(path)

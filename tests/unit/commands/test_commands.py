@@ -138,20 +138,20 @@ def test_building_is_told_once_and_on_a_terminal_only(device, monkeypatch, strea
 
 
 TOY = """
-def add_arguments(parser):
+def toy_arguments(parser):
     parser.add_argument("--number", type=int, required=True, help="what is doubled")
 
 
-def execute(options):
+def toy(options):
     print(2 * options.number)
     return 0
 """
 
 
 def test_a_command_is_one_file_and_its_line_in_the_list(tmp_path, monkeypatch, capsys, error_of) -> None:
-    (tmp_path / "toy.py").write_text(TOY, "utf-8")
+    (tmp_path / "doubling.py").write_text(TOY, "utf-8")
     monkeypatch.setattr(clsim.commands, "__path__", [*clsim.commands.__path__, str(tmp_path)])
-    monkeypatch.setitem(cli.COMMANDS, "toy", "double a number")
+    monkeypatch.setitem(cli.COMMANDS, "toy", ("doubling", "double a number"))
     assert cli.main(["toy", "--number", "21"]) == 0
     assert capsys.readouterr().out == "42\n"
     assert error_of("toy", "--number", "x") == "--number: invalid int value: 'x'"
@@ -171,13 +171,16 @@ def test_each_command_has_its_help(name: str, capsys) -> None:
         cli.main([name, "--help"])
     assert ended.value.code == 0
     assert capsys.readouterr().out.startswith(f"usage: clsim {name} [-h]")
-    assert import_module(f"clsim.commands.{name.replace('-', '_')}").execute.__doc__
+    module = import_module(f"clsim.commands.{cli.COMMANDS[name][0]}")
+    assert getattr(module, name.replace("-", "_")).__doc__
 
 
 def test_commands_are_those_that_are_listed() -> None:
     folder = Path(clsim.commands.__file__).parent
-    there = {path.stem.replace("_", "-") for path in folder.glob("*.py") if "def execute(" in path.read_text("utf-8")}
-    assert there == set(cli.COMMANDS)
+    found = [re.findall(r"^def (\w+)\(options", path.read_text("utf-8"), re.MULTILINE) for path in folder.glob("*.py")]
+    assert {name.replace("_", "-") for names in found for name in names} >= set(cli.COMMANDS)
+    added = [re.findall(r"^def (\w+)_arguments\(", path.read_text("utf-8"), re.MULTILINE) for path in folder.glob("*.py")]
+    assert {name.replace("_", "-") for names in added for name in names} == set(cli.COMMANDS)
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,7 @@ def _field(model: type) -> object:
 
 def test_the_command_line_takes_types_from_the_options(monkeypatch: pytest.MonkeyPatch) -> None:
     parser = argparse.ArgumentParser()
-    run.add_arguments(parser)
+    run.run_arguments(parser)
     given = parser.parse_args(["s.toml", "-o", "out", "--engine", "reference", "--duration", "0.5", "--device", "0:0"])
     assert (given.engine, given.duration, given.device) == ("reference", 0.5, "0:0")
     with pytest.raises(SystemExit):
