@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 from clsim.arrays import LARGEST_ROOM, Floats, as_floats
 from clsim.errors import InputError, check_kind, check_name, counted, inside, settle
 from clsim.numerics.quaternions import rotate
-from clsim.scene.ends import Receiver, Source
-from clsim.scene.flush import in_face
+from clsim.scene.ends import Receiver, Source, in_face
 from clsim.scene.material.material import Material
 from clsim.scene.motion.motion import Instants, Moved, even_lengths, seen_by
 from clsim.scene.motion.trajectory import Trajectory, as_places

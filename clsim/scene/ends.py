@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import Any
@@ -20,6 +20,10 @@ from clsim.scene.directivity.patterns import HIGHEST, Ambisonic, Omni
 from clsim.scene.motion.curves import CONTINUATION
 from clsim.scene.motion.motion import LONGEST, Moved, turning_between
 from clsim.scene.motion.trajectory import Trajectory, as_direction, as_places
+from clsim.scene.room.faces import NEAREST, Mount
+from clsim.scene.room.mesh import MeshRoom
+from clsim.scene.room.protocol import Room
+from clsim.scene.scatterer import Scatterer
 from clsim.scene.signal.signal import Signal
 from clsim.scene.transducer import Electronics, Transducer
 
@@ -377,3 +381,64 @@ def _checked_flush(value: Any) -> bool | Floats:
     if not length > 0.0:
         raise InputError("flush", "must be True, False or a direction off the wall, but is 0, 0, 0")
     return np.asarray(side / length)
+
+
+_ALONG = 1e-6  # cosine below which a direction runs along a wall
+
+
+def find_mount(room: Room, end: End | Scatterer) -> Mount | None:
+    """Return wall and side of a flush-mounted source or receiver; None if it is not flush."""
+    if end.flush is False:
+        return None
+    sides, place, where = _sides(room, end, "")
+    if not isinstance(end.flush, bool):
+        return _facing(room, sides, end.flush)
+    if room.is_convex:
+        return sides[0]
+    inside = [side for side in sides if room.is_closed and room.contains(side.lifted(place))[0]]
+    if len(inside) != 1:
+        name = room.faces.names[sides[0].wall]
+        reason = "both sides are inside" if inside else "the mesh is open, or neither side is inside"
+        raise InputError("flush", f"must be a direction off the wall {name!r} for {where}, because {reason}")
+    return inside[0]
+
+
+def in_face(mesh: MeshRoom, end: End) -> Trajectory:
+    """Return the trajectory of an end in a body's coordinates two steps in front of the face that it sits in."""
+    own = end.trajectory
+    if end.flush is False:
+        return own
+    if not own.is_static:
+        raise InputError("flush", f"must be left out where {end.name!r} moves in its body's coordinates")
+    sides, place, where = _sides(mesh, end, " of its body")
+    if isinstance(end.flush, bool):
+        sides = [side for side in sides if mesh.is_closed and not mesh.contains(side.lifted(place))[0]]
+        if len(sides) != 1:
+            raise InputError("flush", f"must be a direction off the face for {where}, which has no inside")
+    side = sides[0] if isinstance(end.flush, bool) else _facing(mesh, sides, end.flush)
+    return replace(Trajectory.fixed(side.lifted(place, 2.0)[0]), turning=own.turning)
+
+
+def _sides(room: Room, end: End | Scatterer, of: str) -> tuple[list[Mount], Floats, str]:
+    """Return both sides of the one wall that an end is on, its place (1, 3), m, and words for that."""
+    place = np.asarray(end.trajectory.position(np.zeros(1)))
+    where = f"{end.name!r} at ({', '.join(f'{x:.6g}' for x in place[0])}) m{of}"
+    found, (low, high) = room.walls_at(place[0]), room.extent
+    if not len(found):
+        raise InputError("flush", f"must be left out, because {where} is on no wall (within {NEAREST:g} m)")
+    if len(found) > 1:
+        listed = " and ".join(repr(room.faces.names[w]) for w in found)
+        raise InputError("flush", f"must be on one wall, but {where} is on an edge of {listed}")
+    size = float(np.linalg.norm(high - low))
+    return [Mount.on(room.faces, int(found[0]), sign, size) for sign in (1.0, -1.0)], place, where
+
+
+def _facing(room: Room, sides: Sequence[Mount], direction: Floats) -> Mount:
+    """Return the side of a wall that a direction (3,) points to."""
+    cosine, name = float(sides[0].normal @ direction), room.faces.names[sides[0].wall]
+    given = ", ".join(f"{x:.3g}" for x in direction)
+    if room.is_convex and not cosine > 0.0:
+        raise InputError("flush", f"must point into the room from {name}, but is {given}")
+    if not room.is_convex and abs(cosine) < _ALONG:
+        raise InputError("flush", f"must point off the wall {name!r}, but {given} runs along it")
+    return sides[0] if cosine > 0.0 else sides[1]

@@ -12,7 +12,7 @@ from clsim.paths.search import ray_shooting as shooting
 from clsim.paths.search.beam_tree import BeamTree, Candidates
 from clsim.paths.visibility.device import DeviceSearch
 from clsim.paths.visibility.intervals import VisibilityQuery, trajectory_tables
-from clsim.scene.flush import find_mount
+from clsim.scene.ends import find_mount
 
 WALL = clsim.Material.from_reflection(0.9)
 SIZE = (8.0, 6.0, 3.0)

@@ -28,8 +28,7 @@ from clsim.paths.visibility.obstacles import Obstacles
 from clsim.paths.visibility.occlusion import air_sides
 from clsim.paths.visibility.rates import BodyRates, EndRates
 from clsim.paths.visibility.subdivision import certified, evaluations, sampled
-from clsim.scene.ends import Receiver, Source
-from clsim.scene.flush import find_mount
+from clsim.scene.ends import Receiver, Source, find_mount
 from clsim.scene.motion.motion import Motion, even_lengths
 from clsim.scene.room.faces import Mount
 from clsim.scene.room.walls import Walls, build_walls

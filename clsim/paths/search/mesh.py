@@ -24,8 +24,7 @@ from clsim.paths.search.ray_shooting import THROUGH, ShotRays, divided, see_thro
 from clsim.paths.visibility import intervals
 from clsim.paths.visibility.device import DeviceLookup, DeviceSearch
 from clsim.paths.visibility.occlusion import WallLookup, air_sides, in_air
-from clsim.scene.ends import Source
-from clsim.scene.flush import find_mount
+from clsim.scene.ends import Source, find_mount
 from clsim.scene.motion.motion import Motion
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.walls import Walls

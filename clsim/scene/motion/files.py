@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal, DecimalException
 from pathlib import Path
@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import FARTHEST, ByRow, Floats
-from clsim.errors import InputError, warn
-from clsim.files.input_files import LARGEST_TEXT, read_file
-from clsim.scene.motion.bags import read_bag
+from clsim.errors import InputError, check_packages, warn
+from clsim.files.input_files import LARGEST_TEXT, check_file, read_file
 from clsim.scene.motion.motion import LONGEST
 
 FORMATS = ("tum", "euroc", "csv", "rosbag")
@@ -33,7 +32,14 @@ _SHORTEST_STEP = 1e-3  # median steps, below which two times are the same
 _FEWEST_ROWS = 4
 _MOST_DIGITS = 30  # of a time before the point
 _UNIT_TOLERANCE = 1e-2  # largest error of a quaternion's norm that counts as rounding
-
+_LARGEST_BAG = 2**40  # bytes of a bag: pictures and clouds of points are passed over
+_MOST_POSES = 5_000_000  # poses
+_POSE_OF: dict[str, Callable[[Any], tuple[Any, Any]]] = {  # where each kind of message has its pose
+    "geometry_msgs/msg/PoseStamped": lambda m: (m.pose.position, m.pose.orientation),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda m: (m.pose.pose.position, m.pose.pose.orientation),
+    "nav_msgs/msg/Odometry": lambda m: (m.pose.pose.position, m.pose.pose.orientation),
+    "geometry_msgs/msg/TransformStamped": lambda m: (m.transform.translation, m.transform.rotation),
+}
 Bools = NDArray[np.bool_]
 
 
@@ -95,20 +101,62 @@ def read_poses(
 
 
 def _from_bag(path: Path, topic: str, drop: bool) -> Poses:
-    """Return the poses of a topic of a bag; `drop` leaves out those that are not finite."""
-    found = read_bag(path, topic)
-    times = np.array([(stamp - found.stamps[0]) / 10**9 for stamp in found.stamps])  # of whole numbers: rounded once
+    """Return the poses of a topic of a ROS bag, read without ROS; `drop` leaves out those that are not finite."""
+    check_packages("format", "a ROS bag", "ros", "rosbags")
+    try:
+        if not path.is_dir():
+            check_file(path, _LARGEST_BAG)
+        rows, frame = _messages(path, topic)
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError("path", f"{path} cannot be read: {error.strerror or error}") from error
+    except Exception as error:  # of a damaged bag, the package raises what its parsers raise
+        raise InputError("path", f"{path} must be a ROS bag, but cannot be read as one: {error!r:.200}") from error
+    if not rows:
+        raise InputError("topic", f"must be one with messages in {path.name}, but {topic} has none")
+    stamps, numbers = [row[0] for row in rows], np.array([row[1:] for row in rows], dtype=np.float64)
+    times = np.array([(stamp - stamps[0]) / 10**9 for stamp in stamps])  # of whole numbers: rounded once
     poses = Poses(
-        path.name, np.arange(1, len(times) + 1), np.array(found.stamps, dtype=np.str_), times, found.positions,
-        found.orientations, (f"Poses of {topic} in the frame {found.frame!r}.",), "message",
+        path.name, np.arange(1, len(times) + 1), np.array(stamps, dtype=np.str_), times, numbers[:, :3], numbers[:, 3:],
+        (f"Poses of {topic} in the frame {frame!r}.",), "message",
     )  # fmt: skip
-    bad = ~np.all(np.isfinite(np.hstack([poses.positions, found.orientations])), axis=1)
+    bad = ~np.all(np.isfinite(numbers), axis=1)
     if not np.any(bad):
         return poses
     if not drop:
         raise InputError("path", f"{poses.where(int(np.argmax(bad)))}: must be a pose of finite numbers")
     poses = poses.without(bad, "no finite number")
     return replace(poses, times=poses.times - poses.times[0])
+
+
+def _messages(path: Path, topic: str) -> tuple[list[tuple[Any, ...]], str]:
+    """Return stamp, position and quaternion of each message, and the first one's frame."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    rows: list[tuple[Any, ...]] = []
+    frame = ""
+    with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
+        chosen = [one for one in bag.connections if one.topic == topic]
+        kinds = {one.topic: one.msgtype for one in bag.connections}
+        fit = ", ".join(sorted(name for name, kind in kinds.items() if kind in _POSE_OF)) or "none"
+        if topic not in kinds:
+            raise InputError("topic", f"must be one with poses in {path.name} ({fit:.200}), but is {topic!r:.80}")
+        if kinds[topic] not in _POSE_OF:
+            wanted = ", ".join(kind.rpartition("/")[2] for kind in _POSE_OF)
+            problem = f"must be of {wanted}, but {topic} is of {kinds[topic]}; with poses are: {fit:.200}"
+            raise InputError("topic", problem)
+        if sum(one.msgcount for one in chosen) > _MOST_POSES:
+            raise InputError("topic", f"must have at most {_MOST_POSES} messages, but {topic} has more")
+        for connection, _, raw in bag.messages(chosen):
+            message: Any = bag.deserialize(raw, connection.msgtype)
+            place, turn = _POSE_OF[connection.msgtype](message)
+            stamp = message.header.stamp
+            frame = frame or str(message.header.frame_id)
+            clock = int(stamp.sec) * 10**9 + int(stamp.nanosec)
+            rows.append((clock, place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
+    return rows, frame
 
 
 def _parse(path: Path, form: str, drop: bool, names: Mapping[str, str], time_scale: Decimal) -> Poses:

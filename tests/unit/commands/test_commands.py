@@ -179,7 +179,9 @@ def test_commands_are_those_that_are_listed() -> None:
     folder = Path(clsim.commands.__file__).parent
     found = [re.findall(r"^def (\w+)\(options", path.read_text("utf-8"), re.MULTILINE) for path in folder.glob("*.py")]
     assert {name.replace("_", "-") for names in found for name in names} >= set(cli.COMMANDS)
-    added = [re.findall(r"^def (\w+)_arguments\(", path.read_text("utf-8"), re.MULTILINE) for path in folder.glob("*.py")]
+    added = [
+        re.findall(r"^def (\w+)_arguments\(", path.read_text("utf-8"), re.MULTILINE) for path in folder.glob("*.py")
+    ]
     assert {name.replace("_", "-") for names in added for name in names} == set(cli.COMMANDS)
 
 

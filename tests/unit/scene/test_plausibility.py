@@ -11,7 +11,7 @@ from scene_texts import receiver_at, scene_text, shoebox_of, source_at, tone_of
 
 import clsim
 from clsim.cli import main
-from clsim.scene.flush import find_mount
+from clsim.scene.ends import find_mount
 from clsim.scene.room import mesh as mesh_room
 from clsim.scene_file.scene import build_scene, completed_scene
 from clsim.study.file import checked, load_study

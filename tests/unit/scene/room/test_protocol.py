@@ -10,7 +10,7 @@ import clsim
 from clsim.output.result_files import _is_box
 from clsim.paths.find_paths import ROOM_FINDERS
 from clsim.paths.path_table import viewed
-from clsim.scene.flush import find_mount
+from clsim.scene.ends import find_mount
 from clsim.scene.room.faces import Faces
 from clsim.scene.room.protocol import ROOM_MEMBERS, Room, is_room
 from clsim.scene.room.shoebox import ConvexRoom
