@@ -60,20 +60,15 @@ def firsts(count: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def spread(first: NDArray[np.int64], which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return indices of the ragged rows `which`, where row w spans ``first[w]`` to ``first[w + 1]``.
-
-    Shapes: first (n + 1,); which (k,); result (m,).
-    """
+    """Return indices of the ragged rows `which`, where row w spans ``first[w]`` to ``first[w + 1]``."""
+    # Shapes: first (n + 1,); which (k,); result (m,).
     count = first[which + 1] - first[which]
     of = np.repeat(np.arange(len(which)), count)
     return of, np.arange(len(of)) + np.repeat(first[which] - np.cumsum(count) + count, count)
 
 
 def unique_rows(rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.int64]]:
-    """Return unique rows of a table, much faster than `numpy.unique`.
-
-    Shapes: rows (n, k); result (m, k), (m,), (n,).
-    """
+    """Return unique rows of a table, much faster than `numpy.unique`; rows (n, k); result (m, k), (m,), (n,)."""
     order = np.lexsort(rows.T[::-1])
     ordered = rows[order]
     new = np.ones(len(rows), dtype=bool)

@@ -26,10 +26,8 @@ class OfOptions(Protocol[V_contra, P, T_co]):
 
 
 def keywords_of(make: Callable[P, O], kind: type[V]) -> Callable[[Callable[[V, O], T]], OfOptions[V, P, T]]:
-    """Return a decorator for functions of a value of some kind and of options, which makes each option a keyword.
-
-    Signature and docstring list them all, so that editors and ``help`` know them.
-    """
+    """Return a decorator for functions of a value of some kind and of options, which makes each option a keyword."""
+    # Signature and docstring list them all, so that editors and ``help`` know them.
 
     def decorated(function: Callable[[V, O], T]) -> OfOptions[V, P, T]:
         """Return a function of a value and options as one of the value and keywords."""

@@ -314,10 +314,8 @@ def sweep_window(signals: Iterable[Signal], sampling_rate: float) -> int | None:
 def sound_coordinates(
     names: Sequence[str], units: Sequence[str], positions: Floats | None, channels: Sequence[tuple[str, str]]
 ) -> Any:
-    """Return an xarray Dataset of receivers without sound: names, units and, if known, positions (receivers, 3), m.
-
-    Where a receiver has several channels, their names come as well.
-    """
+    """Return an xarray Dataset of receivers without sound: names, units and, if known, positions (receivers, 3), m."""
+    # Where a receiver has several channels, their names come as well.
     import xarray
 
     coordinates: dict[str, Any] = {"receiver": texts(names), "unit": ("receiver", texts(units))}

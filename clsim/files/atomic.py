@@ -121,10 +121,8 @@ def _is_dead(process: int) -> bool:
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str], within: Path | None = None) -> Iterator[Path]:
-    """Yield a temporary path that becomes `path` when the block ends well, and is deleted when it does not.
-
-    within: folder of the temporary path, on the same disk; that of `path` when left out.
-    """
+    """Yield a temporary path that becomes `path` when the block ends well, and is deleted when it does not."""
+    # within: folder of the temporary path, on the same disk; that of `path` when left out.
     final = Path(path)
     temporary = temporary_path(final if within is None else within / final.name)
     try:

@@ -285,11 +285,9 @@ def comparison_picture(
     decays: Sequence[tuple[str, Floats, Floats]], times: Sequence[Floats], early: Sequence[Floats], paths: Floats,
     path: Path, title: str,
 ) -> None:  # fmt: skip
-    """Draw decay curves by band and early levels over time.
-
-    Shapes: decays (title, measured (n,) dB, simulated (m,) dB) at times (n,), (m,) s of measured and simulated; early:
-    measured (k,), simulated (k,) dB at times (k,) s, the last of them; paths (p,) s.
-    """
+    """Draw decay curves by band and early levels over time."""
+    # Shapes: decays (title, measured (n,) dB, simulated (m,) dB) at times (n,), (m,) s of measured and simulated;
+    # early: measured (k,), simulated (k,) dB at times (k,) s, the last of them; paths (p,) s.
     from matplotlib.figure import Figure
 
     from clsim.pictures.plots import save_figure

@@ -148,10 +148,8 @@ def _between(coefficients: Floats | Complexes, angles: Floats) -> Floats | Compl
 def _fitted(
     wanted_at: Callable[[Floats], tuple[Floats, Floats | Complexes]], edges: Floats, half: int
 ) -> tuple[Floats, Floats]:
-    """Return coefficients of cosines (K, half + 1) and of sines (K, half) that come nearest to what is wanted.
-
-    Frequencies lie evenly from 0 to pi, where the sums are a Fourier transform, and closer within the band's edges.
-    """
+    """Return coefficients of cosines (K, half + 1) and of sines (K, half) that come nearest to what is wanted."""
+    # Frequencies lie evenly from 0 to pi, where the sums are a Fourier transform, and closer within the band's edges.
     intervals = scipy.fft.next_fast_len(8 * half + 63, real=True)
     square, target = wanted_at(np.linspace(0.0, math.pi, intervals + 1))
     # Products of cosines, or of sines, are cosines of differences and sums: one sum for each multiple up to 2 half.
@@ -173,10 +171,8 @@ def _fitted(
 
 
 def _series(coefficients: Floats, turns: list[tuple[Floats, Floats]], first: int = 0) -> Floats:
-    """Return sums (K, w) of cosines of 0, 1, ... times w by coefficients (K, n), or of sines of 1, 2, ... times w.
-
-    The multiples are 64 p + q, and the sums over q are products of matrices. turns: of w, for at least so many p.
-    """
+    """Return sums (K, w) of cosines of 0, 1, ... times w by coefficients (K, n), or of sines of 1, 2, ... times w."""
+    # The multiples are 64 p + q, and the sums over q are products of matrices. turns: of w, for at least so many p.
     count = coefficients.shape[1] + first
     groups = -(-count // _FEW)
     given = np.pad(coefficients, ((0, 0), (first, groups * _FEW - count))).reshape(-1, groups, _FEW)
@@ -273,10 +269,8 @@ class BandKernels:
         self._tables = np.empty((_STEPS + _NODES, 0, 2 * self.reach), dtype=np.complex128)
 
     def add(self, out: Complexes, late: Floats, weights: Complexes) -> None:
-        """Add impulses at places (T,), in samples from the first, to rows of samples (T, L), in place.
-
-        `weights` (T, K) are those of the polynomials. What lies beyond the ends is left out.
-        """
+        """Add impulses at places (T,), in samples from the first, to rows of samples (T, L), in place."""
+        # `weights` (T, K) are those of the polynomials. What lies beyond the ends is left out.
         self._tabulate(weights.shape[1])
         audible = np.flatnonzero(np.any(weights != 0.0, axis=1))
         whole = np.floor(late[audible]).astype(np.int64)

@@ -333,10 +333,8 @@ class Upsampler:
         return cls(every, turn, reach, np.stack([taps.real, -taps.imag], axis=1).astype(np.float32))
 
     def add(self, envelopes: Complexes, first: int, sound: NDArray[Any], skipped: int) -> None:
-        """Add the sound of envelopes (rows, m) to samples (rows, n), from its sample ``first every + skipped`` on.
-
-        The envelopes begin with their sample ``first + 1 - reach``.
-        """
+        """Add the sound of envelopes (rows, m) to samples (rows, n), from its sample ``first every + skipped`` on."""
+        # The envelopes begin with their sample ``first + 1 - reach``.
         count = envelopes.shape[1] - 2 * self.reach + 1
         begin = first + 1 - self.reach
         whole = begin * self.turn % 1  # exact, however late

@@ -116,10 +116,8 @@ def _fitted(target: Floats, even: Floats, odd: Floats, weight: Floats) -> Floats
 
 @lru_cache(maxsize=16)  # of some 200 KB each: banks of one band are tried in one order of lengths
 def _branch_shapes(half: int, cutoff: float) -> tuple[Floats, NDArray[np.bool_], Floats, Floats]:
-    """Return the frequencies (n,) of the least squares, whether each is in the band, and responses of taps there.
-
-    Those are real of even branches, (n, half + 1), and -j times what is told of odd ones, (n, half).
-    """
+    """Return the frequencies (n,) of the least squares, whether each is in the band, and responses of taps there."""
+    # Those are real of even branches, (n, half + 1), and -j times what is told of odd ones, (n, half).
     w = np.linspace(0.0, math.pi, 8 * (half + 1) + 128)
     inside = w <= cutoff * (1 + 1e-12)
     w = np.union1d(w, np.linspace(0.0, cutoff, int(inside.sum()) + 32))
@@ -254,10 +252,8 @@ def _powers_of(degree: int, mu_max: float, nu_max: float, cutoff: float, w: Floa
 
 
 def _length_beyond(error_db: float, cutoff: float, importance: tuple[float, ...]) -> float:
-    """Half length about which to search, beyond the shortest one: that of the cell which asks for most.
-
-    Measured over bands of 0.2 to 2.9 rad and errors of -60 to -110 dB.
-    """
+    """Half length about which to search, beyond the shortest one: that of the cell which asks for most."""
+    # Measured over bands of 0.2 to 2.9 rad and errors of -60 to -110 dB.
     ends = cutoff * np.arange(1, len(importance) + 1) / len(importance)
     requested = 20.0 * np.log10(np.maximum(importance, 1e-15)) - error_db  # dB
     most = float(np.max(np.maximum(requested, 0.0) * np.maximum(ends - 0.2, 0.0)))

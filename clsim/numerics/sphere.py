@@ -106,12 +106,11 @@ class GridOnSphere:
         return cls(circles, azimuths[0] + step * np.arange(a), index)
 
     def through(self, values: NDArray[np.complex128]) -> OnGrid:
-        """Return the function of direction that goes through values (n, u).
-
-        Great circles through the poles are closed: colatitudes go on from the pole down the opposite azimuth, to 2 pi
-        (the "double Fourier sphere"; P. E. Merilees, Atmosphere 11 (1), 13-20, 1973). Values are then periodic in both
-        angles, and a periodic cubic spline in each goes through them. A pole that the grid lacks is put in first.
-        """
+        """Return the function of direction that goes through values (n, u)."""
+        # Great circles through the poles are closed: colatitudes go on from the pole down the opposite azimuth, to 2 pi
+        # (the "double Fourier sphere"; P. E. Merilees, Atmosphere 11 (1), 13-20, 1973). Values are then periodic in
+        # both angles, and a periodic cubic spline in each goes through them. A pole that the grid lacks is put in
+        # first.
         circle, table = _closed(*_with_poles(self.colatitudes, values[self.index]))
         knots, coefficients = _periodic_spline(circle, np.concatenate([table.real, table.imag], axis=-1))
         others, coefficients = _periodic_spline(self.azimuths, np.swapaxes(coefficients, 0, 1))
@@ -142,10 +141,8 @@ class RadialOnSphere:
 
     @classmethod
     def through(cls, directions: Floats, values: Floats) -> RadialOnSphere:
-        """Return the function of direction that goes through real values (n, u) in directions (n, 3).
-
-        As of `ScatterOnSphere`, one derivative smoother.
-        """
+        """Return the function of direction that goes through real values (n, u) in directions (n, 3)."""
+        # As of `ScatterOnSphere`, one derivative smoother.
         smooth = real_harmonics(_QUADRATIC, directions)
         count = smooth.shape[1]
         system = np.block([[_powers(directions, directions), smooth], [smooth.T, np.zeros((count, count))]])
@@ -174,12 +171,10 @@ class ScatterOnSphere:
 
     @classmethod
     def through(cls, directions: Floats, values: NDArray[np.complex128]) -> ScatterOnSphere:
-        """Return the function of direction that goes through values (n, u) in directions (n, 3).
-
-        The sum of the cubes of distances to all directions and a linear function: the smoothest of all that go through
-        the values, in the sense of the norm that belongs to the cube (H. Wendland, "Scattered Data Approximation",
-        2005, chapters 8 and 17).
-        """
+        """Return the function of direction that goes through values (n, u) in directions (n, 3)."""
+        # The sum of the cubes of distances to all directions and a linear function: the smoothest of all that go
+        # through the values, in the sense of the norm that belongs to the cube (H. Wendland, "Scattered Data
+        # Approximation", 2005, chapters 8 and 17).
         return cls(
             scipy.interpolate.RBFInterpolator(
                 directions, np.concatenate([values.real, values.imag], axis=1), kernel="cubic"

@@ -24,11 +24,9 @@ _OBJECT = struct.Struct("<H6xQ")  # index of an object in it, 0 for free space, 
 
 
 class RawRows:
-    """Writes pieces of rows where they belong: written again they change nothing, and nothing else moves.
+    """Writes pieces of rows where they belong: written again they change nothing, and nothing else moves."""
 
-    sample_type: code of NumPy, ``"<f4"``, or ``"<c8"``, real before imaginary parts.
-    """
-
+    # sample_type: code of NumPy, ``"<f4"``, or ``"<c8"``, real before imaginary parts.
     def __init__(self, places: Sequence[tuple[Path, int]], sample_type: str = "<f4") -> None:
         self._places, self._type = places, np.dtype(sample_type)
         self._files: dict[Path, int] = {}

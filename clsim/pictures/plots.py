@@ -58,10 +58,8 @@ class Spectrogram:
 def spectrogram(
     pressure: Readable, sampling_rate: float, band: tuple[float, float], segment: int | None = None
 ) -> Spectrogram:
-    """Return the level of pressure (n,), Pa, over time and frequency in a band (low, high), Hz, dB re 20 µPa rms.
-
-    Frequencies of a complex envelope are offsets from the carrier.
-    """
+    """Return the level of pressure (n,), Pa, over time and frequency in a band (low, high), Hz, dB re 20 µPa rms."""
+    # Frequencies of a complex envelope are offsets from the carrier.
     # A pixel is the mean over the windows inside it and the largest of the frequencies inside it, so that neither
     # moves a line's level.
     count = len(pressure)
@@ -130,10 +128,8 @@ def draw_spectrogram(
     band: tuple[float, float] | None = None, overlay: list[tuple[Floats, Floats, str]] | None = None,
     segment: int | None = None, unit: str = "Pa", carrier: float | None = None,
 ) -> None:  # fmt: skip
-    """Draw the level of pressure (n,), Pa, into axes, over it lines of times, s, and frequencies, Hz, with labels.
-
-    carrier: of a complex envelope, Hz; the band is then about it.
-    """
+    """Draw the level of pressure (n,), Pa, into axes, over it lines of times, s, and frequencies, Hz, with labels."""
+    # carrier: of a complex envelope, Hz; the band is then about it.
     if carrier is not None:
         segment = min(segment or max(16, round(_TURNING * sampling_rate)), max(16, len(pressure)))
     low, high = band or (0.0 if carrier is None else -0.5 * sampling_rate, 0.5 * sampling_rate)

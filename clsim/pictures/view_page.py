@@ -100,10 +100,8 @@ def page_text(
     notes: Sequence[str] = (), edges: Floats | None = None, bodies: Sequence[ViewedBody] = (),
     flaws: ViewedFlaws | None = None,
 ) -> str:  # fmt: skip
-    """Return the text of one self-contained HTML page, the drawing library included.
-
-    Shapes: times (F,) s; edges (E, 2, 3) m.
-    """
+    """Return the text of one self-contained HTML page, the drawing library included."""
+    # Shapes: times (F,) s; edges (E, 2, 3) m.
     content = _document(walls, ends, times, frames, edges, bodies, flaws)
     text = json.dumps(content, separators=(",", ":"), allow_nan=False)
     parts = {

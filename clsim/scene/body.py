@@ -179,10 +179,8 @@ def with_carriers(ends: Sequence[End], bodies: Sequence[Body]) -> tuple[End, ...
 def check_bodies(
     room: Room, bodies: Sequence[tuple[str, Body]], others: Sequence[tuple[str, Placed]], slowest: float
 ) -> None:
-    """Refuse bodies that end before a signal, are as fast as sound, or go through walls, each other or other things.
-
-    Shapes: bodies (str, Body); others (str, Source or Receiver or Scatterer).
-    """
+    """Refuse bodies that end before a signal, are as fast as sound, or go through walls, each other or other things."""
+    # Shapes: bodies (str, Body); others (str, Source or Receiver or Scatterer).
     last = max((item.end for _, item in others if isinstance(item, Source)), default=0.0)
     mesh = room.as_mesh() if bodies else None
     for i, (field_name, body) in enumerate(bodies):

@@ -225,10 +225,8 @@ _SPARE = 1.0 + 1e-9  # for the rounding of distances
 
 
 def first_refused(room: Room, motion: Motion, instants: Instants, mount: Mount | None = None) -> int | None:
-    """Return the first instant at which a motion is outside the room, in a wall, or about to pass through one.
-
-    mount: its wall, if flush; positions off this wall or beyond its edges are then refused too.
-    """
+    """Return the first instant at which a motion is outside the room, in a wall, or about to pass through one."""
+    # mount: its wall, if flush; positions off this wall or beyond its edges are then refused too.
 
     def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
         """Return instants at which the room refuses a position, and a mask of ranges that may contain one."""
@@ -251,10 +249,8 @@ def first_refused(room: Room, motion: Motion, instants: Instants, mount: Mount |
 def first_approach(
     motion: Motion, others: Motion | Floats, nearest: float, instants: Instants
 ) -> tuple[int, int] | None:
-    """Return the first instant at which a motion comes too near to one of the others, and the index of that one.
-
-    Shapes: others (n, 3) m.
-    """
+    """Return the first instant at which a motion comes too near to one of the others, and the index of that one."""
+    # Shapes: others (n, 3) m.
     to_whom: dict[int, int] = {}
     half = 0.5 * instants.step
 
@@ -287,10 +283,8 @@ def first_approach(
 
 
 def nearest_within(apart: Floats, velocity: Floats, half: float) -> tuple[Floats, Floats]:
-    """Return least distances (n,), m, of straight motions within ±`half` s, and their times relative to now, s.
-
-    Shapes: apart, velocity (n, 3) m.
-    """
+    """Return least distances (n,), m, of straight motions within ±`half` s, and their times relative to now, s."""
+    # Shapes: apart, velocity (n, 3) m.
     speed_squared = np.maximum(np.sum(velocity**2, axis=1), 1e-300)
     shift = np.clip(-np.sum(apart * velocity, axis=1) / speed_squared, -half, half)
     return np.linalg.norm(apart + shift[:, None] * velocity, axis=1), shift

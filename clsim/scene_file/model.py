@@ -94,12 +94,10 @@ def built(field: str, value: Any, base: Path) -> Any:
 def table(
     kind: str, make: Callable[..., Any], *, name: str = "", base: type[Table] = Table, without: str = "", **types: Any
 ) -> type[Table]:
-    """Return the model of a table whose keys are the parameters of a constructor.
-
-    kind: word by which the table is chosen; none where empty. name: of the model, when not that of the kind. without:
-    parameters that files do not give, between blanks. types: of keys whose annotation says too little, alone or with
-    their default.
-    """
+    """Return the model of a table whose keys are the parameters of a constructor."""
+    # kind: word by which the table is chosen; none where empty. name: of the model, when not that of the kind. without:
+    # parameters that files do not give, between blanks. types: of keys whose annotation says too little, alone or with
+    # their default.
     keys: dict[str, Any] = {"kind": (Literal[kind], ...)} if kind else {}
     for parameter in inspect.signature(make).parameters.values():
         if parameter.name not in without.split() and parameter.name not in base.model_fields:

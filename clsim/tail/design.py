@@ -300,12 +300,9 @@ _SQUARE = 1e-9  # by which the cosines of a rectangular room's corners may diffe
 
 
 def modal_shares(room: Room, energies: WallEnergies, centres: Floats, times: Floats, c: float) -> Floats:
-    """Energy of the coherent sum of images over that of rays, (T, B), in the mean over all pairs of places.
-
-    Shapes: centres (B,) Hz of thirds of octaves; times (T,) s. c: speed of sound, m/s.
-
-    It is 1 in rooms that are not rectangular and above 450 Hz, and returns to 1 as energy is scattered.
-    """
+    """Energy of the coherent sum of images over that of rays, (T, B), in the mean over all pairs of places."""
+    # Shapes: centres (B,) Hz of thirds of octaves; times (T,) s. c: speed of sound, m/s. It is 1 in rooms that are not
+    # rectangular and above 450 Hz, and returns to 1 as energy is scattered.
     shares = np.ones((len(times), len(centres)))
     axes = _axes(room)
     if axes is None:

@@ -54,12 +54,9 @@ def plane_waves(tail: SourceTail, pair: tuple[int, int], source: int, rate: floa
 def at_one_place(
     tail: SourceTail, pair: tuple[int, int], source: int, rate: float, weights: Floats, *, moves: bool
 ) -> Responses:
-    """Return the responses at a zone's middle, for a single static end there; weights (M, B).
-
-    moves: whether the source does: then there is a stream for each direction of departure.
-
-    Sums of independent noise are noise: where no delay changes, directions of arrival need not be told apart.
-    """
+    """Return the responses at a zone's middle, for a single static end there; weights (M, B)."""
+    # moves: whether the source does: then there is a stream for each direction of departure. Sums of independent noise
+    # are noise: where no delay changes, directions of arrival need not be told apart.
     energy = tail.pairs[pair]
     rng = np.random.default_rng([tail.seed, source, *pair, _SHAPED])
     total = np.einsum("tmb,mb->tb", energy.energy, weights)[:, None, :]
@@ -72,10 +69,8 @@ def at_one_place(
 def combined(
     waves: Responses, delays: Floats, gains: Sequence[NDArray[Any]], centres: Floats, rate: float
 ) -> Responses:
-    """Return the sum of plane waves at static places; delays (R, M) s; centres (B,) Hz.
-
-    gains: of each place, (M, B) by band, or complex (M, F) at even frequencies up to half the sampling rate.
-    """
+    """Return the sum of plane waves at static places; delays (R, M) s; centres (B,) Hz."""
+    # gains: of each place, (M, B) by band, or complex (M, F) at even frequencies up to half the sampling rate.
     from scipy.fft import irfft, next_fast_len, rfft
 
     lead = math.ceil(float(np.abs(delays).max(initial=0.0)) * rate) + 32

@@ -271,11 +271,9 @@ _PHASES = 4096  # of a sample, between which the nearest is taken: -70 dB at 0.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """Read positions and gains of M streams for R listeners at N nodes, linear between these.
+    """Read positions and gains of M streams for R listeners at N nodes, linear between these."""
 
-    Listeners read M streams each in turn: the first M, the next M, and the first again after the last.
-    """
-
+    # Listeners read M streams each in turn: the first M, the next M, and the first again after the last.
     ahead: Floats  # (R, N, M) samples by which each stream is read ahead of the clock
     gains: Floats  # (R, N, M) of each stream
 

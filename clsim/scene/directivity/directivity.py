@@ -189,11 +189,9 @@ class Directivity(ABC):
 
 
 class ChannelDirectivity(Directivity):
-    """Directivities of a receiver with several outputs at one place: ears, or ambisonic components.
+    """Directivities of a receiver with several outputs at one place: ears, or ambisonic components."""
 
-    `gain_towards` has shape (..., C), C channels; a subclass gives `channels`.
-    """
-
+    # `gain_towards` has shape (..., C), C channels; a subclass gives `channels`.
     __slots__ = ()
 
     @property

@@ -176,12 +176,9 @@ def overhangs(angles: Floats) -> bool:
 
 
 def within_half_turn(angles: Floats, values: NDArray[Any], unit: str) -> tuple[Floats, NDArray[Any]]:
-    """Return the angles from 0° to 180°, and their values, of a table that overhangs.
-
-    Shapes: angles (a,); values (a, f).
-
-    Where no angle lies on the axis, or opposite, its values are those of a cubic spline through all angles.
-    """
+    """Return the angles from 0° to 180°, and their values, of a table that overhangs."""
+    # Shapes: angles (a,); values (a, f). Where no angle lies on the axis, or opposite, its values are those of a cubic
+    # spline through all angles.
     made = [a for a in (0.0, 180.0) if angles[0] < a < angles[-1] and np.abs(angles - a).min() > _SAME_ANGLE]
     if made and len(angles) > 1:
         joined = scipy.interpolate.CubicSpline(angles, values)(made)

@@ -29,10 +29,8 @@ _SEPARATORS = ("\t", ";", ",")  # a comma may be part of a number where one of t
 
 
 def read_csv_table(field: str, path: str | PathLike[str]) -> tuple[Floats, Floats, Floats]:
-    """Return angles (a,), frequencies (f,) and values (a, f) of a text file.
-
-    path: first row: any word, then frequencies. Other rows: the angle, then a value for each frequency.
-    """
+    """Return angles (a,), frequencies (f,) and values (a, f) of a text file."""
+    # path: first row: any word, then frequencies. Other rows: the angle, then a value for each frequency.
     try:
         text = read_file(path, LARGEST_TEXT).decode("utf-8-sig")
     except OSError as error:

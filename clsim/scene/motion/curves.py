@@ -280,11 +280,9 @@ def as_smooth(value: Any) -> bool | float:
 
 
 def fit_measured(times: Floats, positions: Floats, smooth: bool | float, place: Placement) -> Fit:
-    """Return the spline of points (n, 3), m, measured at times (n,), s, smoothed in the axes of the measurement.
-
-    smooth: true removes white noise (generalised cross-validation), a number leaves that rms residual per axis, m, and
-    False goes through the points.
-    """
+    """Return the spline of points (n, 3), m, measured at times (n,), s, smoothed in the axes of the measurement."""
+    # smooth: true removes white noise (generalised cross-validation), a number leaves that rms residual per axis, m,
+    # and False goes through the points.
     if smooth is False:
         speed = speed_noise(times, positions)
         doppler = _BEACON * speed / _SPEED_OF_SOUND

@@ -162,30 +162,26 @@ def _messages(path: Path, topic: str) -> tuple[list[tuple[Any, ...]], str]:
 def _parse(path: Path, form: str, drop: bool, names: Mapping[str, str], time_scale: Decimal) -> Poses:
     """Turn the file's text into numbers; `drop` leaves out rows that hold something else."""
     rows, columns, notes = _rows(path, form, names)
-    lines, stamps, clock, numbers, bad = [], [], [], [], []
+    clock, numbers, bad = [], [], np.zeros(len(rows), dtype=np.bool_)
     unit = Decimal("1e-9") if form == "euroc" else time_scale
-    for line, cells in rows:
+    for i, (line, cells) in enumerate(rows):
         try:
             clock.append(_clock(cells[columns[0]], whole=form == "euroc") * unit)
-            numbers.append([_number(name, cells[i]) for name, i in zip(POSE[1:], columns[1:], strict=False)])
+            numbers.append([_number(name, cells[k]) for name, k in zip(POSE[1:], columns[1:], strict=False)])
         except ValueError as error:
             if not drop:
                 raise InputError("path", f"{path.name}, line {line}: {error}") from None
-            del clock[len(numbers) :]
-            bad.append(line)
-            continue
-        lines.append(line)
-        stamps.append(cells[columns[0]].strip())
-    if bad:
-        of = len(bad) + len(lines)
-        notes += (f"Dropped {len(bad)} of {of} rows (no finite number), the first in line {bad[0]}.",)
-        if 2 * len(bad) >= of:
-            raise InputError("repair", f"would drop {len(bad)} of {of} rows of {path.name} (no finite number)")
-    values = np.array(numbers, dtype=np.float64).reshape(len(lines), len(columns) - 1)
-    times = np.array([float(t - clock[0]) for t in clock])
-    orientations = values[:, 3:] if len(columns) == len(POSE) else None
-    order = np.array(lines, dtype=np.int64), np.array(stamps, dtype=np.str_)
-    return Poses(path.name, *order, times, values[:, :3], orientations, notes)
+            bad[i], clock[i:] = True, [Decimal(0)]
+            numbers.append([np.nan] * (len(columns) - 1))
+    begin = next((time for time, is_bad in zip(clock, bad, strict=True) if not is_bad), Decimal(0))
+    values = np.array(numbers, dtype=np.float64).reshape(len(rows), len(columns) - 1)
+    poses = Poses(
+        path.name, np.array([line for line, _ in rows], dtype=np.int64),
+        np.array([cells[columns[0]].strip() for _, cells in rows], dtype=np.str_),
+        np.array([float(time - begin) for time in clock]), values[:, :3],
+        values[:, 3:] if len(columns) == len(POSE) else None, notes,
+    )  # fmt: skip
+    return poses.without(bad, "no finite number") if bad.any() else poses
 
 
 def _rows(

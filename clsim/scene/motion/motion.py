@@ -204,13 +204,11 @@ class Instants:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """A motion from `start` to `end`, s; its fields are those of `Trajectory`.
+    """A motion from `start` to `end`, s; its fields are those of `Trajectory`."""
 
-    Shortly before its start and after its end, by 0.05 s, it goes on smoothly (lines and circles as they are, splines
-    by a parabola with the end's velocity and acceleration), because sound received at the start was emitted before it.
-    Beyond that everything stands still.
-    """
-
+    # Shortly before its start and after its end, by 0.05 s, it goes on smoothly (lines and circles as they are, splines
+    # by a parabola with the end's velocity and acceleration), because sound received at the start was emitted before
+    # it. Beyond that everything stands still.
     curve: Curve
     start: float
     end: float
@@ -510,10 +508,8 @@ def seen_by(frame: Motion, point: Motion) -> Motion:
 
 
 def even_lengths(speed: Floats, rate: float, step: float) -> Floats:
-    """Return times (n,), s, between which objects move at most a step, m; first and last instants are included.
-
-    speed: bounds (m,) of how fast they go about instants so many per second from 0 s on, m/s.
-    """
+    """Return times (n,), s, between which objects move at most a step, m; first and last instants are included."""
+    # speed: bounds (m,) of how fast they go about instants so many per second from 0 s on, m/s.
     pace = np.maximum(speed[1:], speed[:-1]) / (rate * step)  # steps from one instant to the next
     length = np.concatenate([[0.0], np.cumsum(pace)])
     instants = np.arange(len(length)) / rate

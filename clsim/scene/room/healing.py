@@ -269,10 +269,8 @@ def _without_flat(places: Floats, corners: Ints, origin: Ints, thinner: float) -
 def _cut_once(
     places: Floats, corners: Ints, origin: Ints, tolerance: float
 ) -> tuple[Ints, Ints, dict[int, float]] | None:
-    """Cut every triangle with a corner on an open side of it there, once; None where there is none.
-
-    result: triangles, their origin, and the corners with their distances off the sides, m.
-    """
+    """Cut every triangle with a corner on an open side of it there, once; None where there is none."""
+    # result: triangles, their origin, and the corners with their distances off the sides, m.
     sides, _, which = sides_of(corners)
     opened = np.flatnonzero((np.bincount(which) % 2 == 1)[which])
     candidates = np.unique(sides[opened])

@@ -132,10 +132,8 @@ def mesh_shape(vertices: Floats, triangles: NDArray[np.int64]) -> MeshShape:
 
 
 def _sheets(vertices: Floats, triangles: NDArray[np.int64], which: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Find flat shells with open edges, (T,), if all others together are closed around them; none otherwise.
-
-    which: the edge (3 T,) of every side. Shells hang together by edges of two triangles.
-    """
+    """Find flat shells with open edges, (T,), if all others together are closed around them; none otherwise."""
+    # which: the edge (3 T,) of every side. Shells hang together by edges of two triangles.
     uses, owner = np.bincount(which), np.repeat(np.arange(len(triangles)), 3)
     none = np.zeros(len(triangles), dtype=bool)
     if not np.any(uses % 2 == 1):
@@ -305,12 +303,10 @@ class Shells:
 def enclosed_volume(
     vertices: Floats, triangles: Ints, crossing: bool, contains: Callable[[Floats], NDArray[np.bool_]]
 ) -> float | None:
-    """Return the volume in an odd number of shells of a watertight mesh, m³; None where there is none.
-
-    crossing: whether walls run through each other, as bent ones seem to: `contains` is then evaluated on a lattice in
-    the box around the largest shell, so that what is sunk into the floor does not count below it. The volumes of the
-    shells are taken where they agree with it within its error, 0.4 %, and of a single shell.
-    """
+    """Return the volume in an odd number of shells of a watertight mesh, m³; None where there is none."""
+    # crossing: whether walls run through each other, as bent ones seem to: `contains` is then evaluated on a lattice in
+    # the box around the largest shell, so that what is sunk into the floor does not count below it. The volumes of the
+    # shells are taken where they agree with it within its error, 0.4 %, and of a single shell.
     shells = Shells.of(vertices, triangles)
     between = None if shells is None or np.any(shells.holes) else shells.volume_between()
     if between is None or (crossing and shells is not None and len(shells.volume) > 1):

@@ -95,10 +95,8 @@ def checked_polygons(value: Any, count: int) -> list[Ints]:
 
 
 def triangulated(corners: Floats, polygons: list[Ints], which: list[int], near: float) -> tuple[Ints, Ints, list[str]]:
-    """Cut some polygons into triangles (T, 3), and return the polygon (T,) of each, and notes.
-
-    near: distance of planes, m, within which polygons that lie in others are cut out of them; 0 for never.
-    """
+    """Cut some polygons into triangles (T, 3), and return the polygon (T,) of each, and notes."""
+    # near: distance of planes, m, within which polygons that lie in others are cut out of them; 0 for never.
     triangles, owner, counts = [np.zeros((0, 3), np.int64)], [np.zeros(0, np.int64)], Counter[str]()
     inner, cut = without_inner(corners, [polygons[i] for i in which], near) if near > 0.0 else ([], [])
     for place, i in enumerate(which):
@@ -293,10 +291,8 @@ class _Lines:
 
 
 def read_ac3d(path: Path) -> tuple[Floats, list[NDArray[np.int64]], list[int], list[str]]:
-    """Read corners (n, 3), polygons of them, the material of each, and the materials' names.
-
-    "The AC3D file format", version 3.0, at the site of AC3D: text, an object to a block, blocks in a tree.
-    """
+    """Read corners (n, 3), polygons of them, the material of each, and the materials' names."""
+    # "The AC3D file format", version 3.0, at the site of AC3D: text, an object to a block, blocks in a tree.
     try:
         data = read_file(path, LARGEST_TEXT)
     except OSError as error:

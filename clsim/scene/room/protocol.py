@@ -15,12 +15,10 @@ from clsim.scene.room.mesh import MeshRoom
 
 
 class Room(Protocol):
-    """A room: flat walls, and what is inside.
+    """A room: flat walls, and what is inside."""
 
-    `Shoebox` and `MeshRoom` are rooms; a class of one's own needs no base, and a convex one finds most of this in
-    `ConvexRoom`. Its package names the class by an entry point of `clsim.rooms`.
-    """
-
+    # `Shoebox` and `MeshRoom` are rooms; a class of one's own needs no base, and a convex one finds most of this in
+    # `ConvexRoom`. Its package names the class by an entry point of `clsim.rooms`.
     @property
     def faces(self) -> Faces:
         """The walls: planes, names and materials."""

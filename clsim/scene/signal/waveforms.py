@@ -354,11 +354,9 @@ def _fits(field: str, frequency: float, sampling_rate: float) -> None:
 
 
 def binary_sequence(kind: str, bits: int, code: int) -> NDArray[np.float64]:
-    """Return one period of a sequence as +1 and -1, ``2**bits - 1`` chips.
-
-    code: for "gold" 0 and 1 are the two maximum-length sequences, k + 2 their product with the second one rotated by k.
-    For "mls" the number of chips by which it is rotated.
-    """
+    """Return one period of a sequence as +1 and -1, ``2**bits - 1`` chips."""
+    # code: for "gold" 0 and 1 are the two maximum-length sequences, k + 2 their product with the second one rotated by
+    # k. For "mls" the number of chips by which it is rotated.
     bits = as_count("bits", bits, at_least=2, at_most=16)
     length = 2**bits - 1
     if kind == "mls":
