@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy
@@ -12,9 +13,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats
 
-if TYPE_CHECKING:
-    from scipy.interpolate import NdBSpline, RBFInterpolator
-
+OverSphere = Callable[[Floats], NDArray[np.complex128]]  # values (m, u) in directions (m, 3), unit vectors
 _SAME = 1e-5  # rad, between directions that count as one
 _SAME_CIRCLE = 1e-4  # rad, between circles of a grid that count as one
 _NEIGHBOURS = 4
@@ -105,7 +104,7 @@ class GridOnSphere:
                 circles, index = np.insert(circles, place, at), np.insert(index, place, here, axis=0)
         return cls(circles, azimuths[0] + step * np.arange(a), index)
 
-    def through(self, values: NDArray[np.complex128]) -> OnGrid:
+    def through(self, values: NDArray[np.complex128]) -> OverSphere:
         """Return the function of direction that goes through values (n, u)."""
         # Great circles through the poles are closed: colatitudes go on from the pole down the opposite azimuth, to 2 pi
         # (the "double Fourier sphere"; P. E. Merilees, Atmosphere 11 (1), 13-20, 1973). Values are then periodic in
@@ -115,21 +114,13 @@ class GridOnSphere:
         knots, coefficients = _periodic_spline(circle, np.concatenate([table.real, table.imag], axis=-1))
         others, coefficients = _periodic_spline(self.azimuths, np.swapaxes(coefficients, 0, 1))
         spline = scipy.interpolate.NdBSpline((knots, others), np.ascontiguousarray(np.swapaxes(coefficients, 0, 1)), 3)
-        return OnGrid(spline, self.azimuths[0])
+        begin = self.azimuths[0]
 
+        def on_grid(directions: Floats) -> NDArray[np.complex128]:
+            colatitude, azimuth = _angles(directions)
+            return _complex(spline(np.column_stack([colatitude, begin + (azimuth - begin) % (2.0 * np.pi)])))
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OnGrid:
-    """A periodic spline of colatitude and azimuth, which begins at an angle in rad."""
-
-    spline: NdBSpline
-    first_azimuth: float
-
-    def __call__(self, directions: Floats) -> NDArray[np.complex128]:
-        """Return values (m, u) in directions (m, 3), unit vectors."""
-        colatitude, azimuth = _angles(directions)
-        azimuth = self.first_azimuth + (azimuth - self.first_azimuth) % (2.0 * np.pi)
-        return _complex(self.spline(np.column_stack([colatitude, azimuth])))
+        return on_grid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,27 +154,16 @@ def _powers(some: Floats, others: Floats) -> Floats:
     return np.asarray(squares * squares * np.sqrt(squares))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ScatterOnSphere:
-    """Radial functions about directions anywhere."""
+def scattered_on_sphere(directions: Floats, values: NDArray[np.complex128]) -> OverSphere:
+    """Return the function of direction that goes through values (n, u) in directions (n, 3) anywhere.
 
-    functions: RBFInterpolator
-
-    @classmethod
-    def through(cls, directions: Floats, values: NDArray[np.complex128]) -> ScatterOnSphere:
-        """Return the function of direction that goes through values (n, u) in directions (n, 3)."""
-        # The sum of the cubes of distances to all directions and a linear function: the smoothest of all that go
-        # through the values, in the sense of the norm that belongs to the cube (H. Wendland, "Scattered Data
-        # Approximation", 2005, chapters 8 and 17).
-        return cls(
-            scipy.interpolate.RBFInterpolator(
-                directions, np.concatenate([values.real, values.imag], axis=1), kernel="cubic"
-            )
-        )
-
-    def __call__(self, directions: Floats) -> NDArray[np.complex128]:
-        """Return values (m, u) in directions (m, 3), unit vectors."""
-        return _complex(self.functions(directions))
+    The sum of the cubes of distances to all directions and a linear function: the smoothest of all that go through the
+    values, in the sense of the norm that belongs to the cube (H. Wendland, "Scattered Data Approximation", 2005,
+    chapters 8 and 17).
+    """
+    both = np.concatenate([values.real, values.imag], axis=1)
+    functions = scipy.interpolate.RBFInterpolator(directions, both, kernel="cubic")
+    return lambda towards: _complex(functions(towards))
 
 
 def _closed(colatitudes: Floats, down: NDArray[Any]) -> tuple[Floats, NDArray[Any]]:

@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy
@@ -15,7 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 from clsim.acoustics.directivity import fit_delay
 from clsim.arrays import Floats, as_count, read_only, short_repr
 from clsim.errors import InputError, settle
-from clsim.numerics.sphere import GridOnSphere, ScatterOnSphere, largest_hole, merged, neighbours_on_sphere
+from clsim.numerics.sphere import (
+    GridOnSphere,
+    OverSphere,
+    largest_hole,
+    merged,
+    neighbours_on_sphere,
+    scattered_on_sphere,
+)
 from clsim.scene.directivity import directivity as tables
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.directivity.text_files import axes_of, cartesian, opened_sofa, read_sofa, sampling_rate_of
@@ -23,10 +30,6 @@ from clsim.scene.directivity.text_files import axes_of, cartesian, opened_sofa, 
 _LARGEST_HOLE = 60.0  # degrees, radius of the largest cap without a direction
 _MOST_SCATTERED = 4000  # directions off a grid, whose equations take 0.2 GB and two seconds
 _AXIS = np.array([1.0, 0.0, 0.0])
-
-
-class _Joined(Protocol):
-    def __call__(self, directions: Floats) -> NDArray[np.complex128]: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +58,7 @@ class SphericalDirectivity(Directivity):
     The delay that all phases share, linear in the direction, is found (`fit_delay`) and taken out; real and imaginary
     part of the rest are joined by cubic splines over frequency, and over the sphere by periodic bicubic splines across
     the poles (`GridOnSphere`) if the directions are an equiangular grid, else by cubic radial functions
-    (`ScatterOnSphere`). Both go through the table's values.
+    (`scattered_on_sphere`). Both go through the table's values.
 
     Examples
     --------
@@ -155,13 +158,13 @@ class SphericalDirectivity(Directivity):
 
 
 @lru_cache(maxsize=32)
-def _joined(table: SphericalDirectivity, frequencies: bytes) -> _Joined:
+def _joined(table: SphericalDirectivity, frequencies: bytes) -> OverSphere:
     """Return the function of direction at frequencies (u,) given as bytes; its results are (n, u)."""
     turn = 2j * np.pi * (table.delay[0] + table.directions @ table.delay[1:])[:, None]
     rest = table.values * np.exp(turn * table.frequencies)
     rows = tables.joined_over_frequency(table.frequencies, rest, np.frombuffer(frequencies))
     grid = GridOnSphere.of(table.directions)
-    return grid.through(rows) if grid is not None else ScatterOnSphere.through(table.directions, rows)
+    return grid.through(rows) if grid is not None else scattered_on_sphere(table.directions, rows)
 
 
 # One source, and a receiver in each direction. AES69-2022 has no FreeFieldDirectivityIR; files that say so are laid out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats, as_number, read_only, short_repr
 from clsim.errors import InputError, settle, warn
-from clsim.numerics.quaternions import rotate
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
@@ -249,27 +249,6 @@ def _continued(coefficients: Floats, knots: Floats) -> Piecewise:
     return Piecewise(polynomial, polynomial.derivative())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Placement:
-    """A rigid motion from the file's axes into the room: turned by a quaternion (4,), moved by (3,) m."""
-
-    rotation: Floats
-    translation: Floats
-
-    def __call__(self, points: Floats) -> Floats:
-        """Return points (n, 3) m in the room."""
-        return rotate(self.rotation, points) + self.translation
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Fit:
-    """A curve through measured points, the residual rms (3,) m or None, and sentences about it."""
-
-    curve: Piecewise
-    residual: Floats | None
-    notes: tuple[str, ...]
-
-
 def as_smooth(value: Any) -> bool | float:
     """Return the strength of smoothing: True, False or a residual in m."""
     if isinstance(value, bool | np.bool_):
@@ -279,7 +258,9 @@ def as_smooth(value: Any) -> bool | float:
     return as_number("smooth", value, at_least=1e-9, at_most=1e3, unit="m")
 
 
-def fit_measured(times: Floats, positions: Floats, smooth: bool | float, place: Placement) -> Fit:
+def fit_measured(
+    times: Floats, positions: Floats, smooth: bool | float, place: Callable[[Floats], Floats]
+) -> tuple[Piecewise, Floats | None, tuple[str, ...]]:
     """Return the spline of points (n, 3), m, measured at times (n,), s, smoothed in the axes of the measurement."""
     # smooth: true removes white noise (generalised cross-validation), a number leaves that rms residual per axis, m,
     # and False goes through the points.
@@ -291,24 +272,25 @@ def fit_measured(times: Floats, positions: Floats, smooth: bool | float, place: 
             f"along the noisiest axis, which is about {doppler:.2g} Hz of Doppler noise at 40 kHz."
         )
         warn(f"trajectory: {note}")
-        return Fit(spline_through(times, place(positions), "not-a-knot"), None, (note,))
+        return spline_through(times, place(positions), "not-a-knot"), None, (note,)
     try:
         if smooth is True:
-            found, how = smooth_by_cross_validation(times, positions), "generalised cross-validation"
+            left, how = smooth_by_cross_validation(times, positions), "generalised cross-validation"
         else:
-            found, how = smooth_by_residual(times, positions, smooth), f"a residual of {1e3 * smooth:.4g} mm"
+            left, how = smooth_by_residual(times, positions, smooth), f"a residual of {1e3 * smooth:.4g} mm"
     except np.linalg.LinAlgError as error:
         problem = "cannot be done for these times, whose steps are too uneven; give smooth=false"
         raise InputError("smooth", problem) from error
-    moved = ", ".join(f"{1e3 * r:.3g}" for r in found.residual)
+    residual = np.sqrt(np.mean(left**2, axis=0))
+    moved = ", ".join(f"{1e3 * r:.3g}" for r in residual)
     note = f"Smoothed by {how}: points moved by {moved} mm rms along x, y, z of the file."
-    curve = spline_through(times, place(found.points), "natural")
+    curve = spline_through(times, place(positions - left), "natural")
     acceleration = np.linalg.norm(curve.polynomial(times, nu=2), axis=1)
     i = int(np.argmax(acceleration))
     if acceleration[i] > _ROUGH:
         note = f"trajectory: accelerates by {acceleration[i]:.3g} m/s² at {times[i]:.6g} s, more than "
         warn(f"{note}{_ROUGH:g}: the noise may not be white (dropouts, filters); smooth=<metres> smooths more")
-    return Fit(curve, read_only(found.residual), (note,))
+    return curve, read_only(residual), (note,)
 
 
 def speed_noise(times: Floats, positions: Floats) -> float:
@@ -329,16 +311,8 @@ def speed_noise(times: Floats, positions: Floats) -> float:
     return _SPEED_NOISE * math.sqrt(float(np.max(variance))) / float(np.median(np.diff(times)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Smoothed:
-    """Values (n, k) of smoothing splines at their times, and rms residuals (k,); they are the splines through these."""
-
-    points: Floats
-    residual: Floats
-
-
-def smooth_by_cross_validation(times: Floats, values: Floats) -> Smoothed:
-    """Smooth each column of values (n, k) at times (n,) by the λ that generalised cross-validation chooses."""
+def smooth_by_cross_validation(times: Floats, values: Floats) -> Floats:
+    """Return residuals (n, k) of splines that smooth columns of values (n, k), by generalised cross-validation."""
     # λ minimises ``GCV(λ) = n Σ (y − f)² / tr(I − A)²``, A the matrix that turns y into f. The trace needs no inverse:
     # ``tr(I − A) = tr(λ QᵀQ (R + λ QᵀQ)⁻¹) = d ln det(R + λ QᵀQ) / d ln λ``.
     system = _system(times)
@@ -351,11 +325,11 @@ def smooth_by_cross_validation(times: Floats, values: Floats) -> Smoothed:
         score = np.log(np.maximum(squares[:, column], 1e-300)) - 2.0 * np.log(np.maximum(freedom, 1e-300))
         best = _lowest(grid[3:-3], score)
         residuals[:, column] = system.solve(np.exp(best), values[:, column])[1]
-    return _smoothed(values, residuals)
+    return residuals
 
 
-def smooth_by_residual(times: Floats, values: Floats, residual: float) -> Smoothed:
-    """Smooth each column of values (n, k) at times (n,) until the root mean square of its residual is that given."""
+def smooth_by_residual(times: Floats, values: Floats, residual: float) -> Floats:
+    """Return residuals (n, k) of splines through columns of values (n, k), whose root mean squares are that given."""
     # A column that is nearer to a straight line than that becomes the line (or what is slower than 7000 steps), with
     # the smaller residual it has.
     system = _system(times)
@@ -374,7 +348,7 @@ def smooth_by_residual(times: Floats, values: Floats, residual: float) -> Smooth
         else:
             best = scipy.optimize.brentq(excess, _LEAST, system.greatest, xtol=1e-6)
         residuals[:, column] = system.solve(np.exp(best), y)[1]
-    return _smoothed(values, residuals)
+    return residuals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -437,7 +411,3 @@ def _lowest(grid: Floats, score: Floats) -> float:
     before, at, after = score[i - 1 : i + 2]
     bend = before - 2.0 * at + after
     return float(grid[i] + (0.5 * _STEP * (before - after) / bend if bend > 0.0 else 0.0))
-
-
-def _smoothed(values: Floats, residuals: Floats) -> Smoothed:
-    return Smoothed(values - residuals, np.sqrt(np.mean(residuals**2, axis=0)))

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from clsim.arrays import FARTHEST, Floats, as_choice, as_floats, as_number, read_only
 from clsim.errors import InputError, check_rising, warn
 from clsim.numerics.quaternions import quaternion_from_direction, quaternion_product
+from clsim.numerics.quaternions import rotate as rotated
 from clsim.scene.motion import curves
 from clsim.scene.motion import motion as motions
 from clsim.scene.motion.motion import LONGEST, SHORTEST, Motion, turning_between
@@ -425,11 +426,13 @@ class Trajectory(Motion):
             max_speed=as_number("max_speed", max_speed, above=0.0, at_most=FARTHEST, unit="m/s"),
             max_gap=None if max_gap is None else as_span("max_gap", max_gap),
         )
-        place = curves.Placement(as_quaternions("rotate", rotate, (4,)), as_places("translate", translate, (3,)))
+        turn, shift = as_quaternions("rotate", rotate, (4,)), as_places("translate", translate, (3,))
         times = poses.times + as_number("time_offset", time_offset, at_least=-LONGEST, at_most=LONGEST, unit="s")
-        fit = curves.fit_measured(times, poses.positions, strength, place)
+        curve, residual, notes = curves.fit_measured(
+            times, poses.positions, strength, lambda points: rotated(turn, points) + shift
+        )
         turning = None
         if poses.orientations is not None:
-            turning = turning_between(times, quaternion_product(place.rotation, poses.orientations))
-        notes = (*poses.notes, *fit.notes)
-        return Trajectory(fit.curve, float(times[0]), float(times[-1]), turning, notes, residual=fit.residual)
+            turning = turning_between(times, quaternion_product(turn, poses.orientations))
+        notes = (*poses.notes, *notes)
+        return Trajectory(curve, float(times[0]), float(times[-1]), turning, notes, residual=residual)

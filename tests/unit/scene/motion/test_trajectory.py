@@ -1,4 +1,5 @@
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -35,6 +36,12 @@ def moving(name):
 
 
 SMOOTH = ["line", "circle", "waypoints", "sampled"]
+
+
+def smoothed_by(smooth, times, values, *more):
+    """Return the points of smoothing splines, and the root mean squares of their residuals."""
+    left = smooth(times, values, *more)
+    return SimpleNamespace(points=values - left, residual=np.sqrt(np.mean(left**2, axis=0)))
 
 
 def test_fixed_point_stays_for_ever_and_velocity_is_zero():
@@ -317,7 +324,7 @@ def test_cross_validation_is_nearly_as_good_as_knowing_the_truth(rng):
     t = np.linspace(0.0, 20.0, 2001)
     clean = np.stack([np.sin(t), 1e-3 * np.cos(2 * t)], axis=1)
     noise = np.array([1e-4, 1e-5]) * rng.normal(size=(2001, 2))
-    smoothed = curves.smooth_by_cross_validation(t, clean + noise)
+    smoothed = smoothed_by(curves.smooth_by_cross_validation, t, clean + noise)
     system = curves._system(t)
     tries = [noise - system.solve(strength, clean + noise)[1] for strength in np.geomspace(1e-2, 1e8, 101)]
     best = np.sqrt(np.min([np.sum(left**2, axis=0) for left in tries], axis=0))
@@ -330,26 +337,26 @@ def test_cross_validation_is_nearly_as_good_as_knowing_the_truth(rng):
 def test_cross_validation_does_not_depend_on_the_units(rng):
     t = np.linspace(0.0, 3.0, 301)
     y = np.sin(t)[:, None] + 1e-3 * rng.normal(size=(301, 1))
-    base = curves.smooth_by_cross_validation(t, y)
-    other = curves.smooth_by_cross_validation(t * 1e9 + 5.0, y * 1e3)
+    base = smoothed_by(curves.smooth_by_cross_validation, t, y)
+    other = smoothed_by(curves.smooth_by_cross_validation, t * 1e9 + 5.0, y * 1e3)
     np.testing.assert_allclose(other.points, base.points * 1e3, rtol=1e-6, atol=1e-6)
 
 
 def test_cross_validation_leaves_exact_data_and_flattens_pure_noise(rng):
     t = np.linspace(0.0, 2.0, 401)
-    exact = curves.smooth_by_cross_validation(t, circle_positions(t))
+    exact = smoothed_by(curves.smooth_by_cross_validation, t, circle_positions(t))
     # At the least strength λ = 1e-6 the residual is λ times the fourth difference, (2 π / 200)⁴ = 1e-6, but
     # λ times the second, 1e-3, at both ends, where the spline may not bend: 1e-9 sqrt(2 / 401) in all.
     assert np.all(exact.residual < 1.5e-10)
     noise = 1e-4 * rng.normal(size=(401, 1))
-    flat = curves.smooth_by_cross_validation(t, noise)
+    flat = smoothed_by(curves.smooth_by_cross_validation, t, noise)
     assert flat.residual[0] == pytest.approx(np.std(noise), rel=0.03)
 
 
 def test_residual_asked_for_is_residual_given(rng):
     t = np.cumsum(rng.uniform(0.009, 0.011, 500))
     y = np.stack([np.sin(5 * t), np.cos(3 * t), t], axis=1)
-    smoothed = curves.smooth_by_residual(t, y, 2e-3)
+    smoothed = smoothed_by(curves.smooth_by_residual, t, y, 2e-3)
     np.testing.assert_allclose(smoothed.residual[:2], 2e-3, rtol=1e-5)
     assert smoothed.residual[2] < 1e-9  # a straight line has no residual to give
 
@@ -358,6 +365,6 @@ def test_smoothing_bears_times_that_nearly_coincide(rng):
     t = np.linspace(0.0, 5.0, 501)
     t[200] = t[199] + 1.1e-5  # a thousandth of a step
     y = np.sin(t)[:, None] + 1e-3 * rng.normal(size=(501, 1))
-    smoothed = curves.smooth_by_cross_validation(t, y)
+    smoothed = smoothed_by(curves.smooth_by_cross_validation, t, y)
     assert smoothed.residual[0] == pytest.approx(1e-3, rel=0.1)
     assert np.abs(smoothed.points[150:250, 0] - np.sin(t[150:250])).max() < 5e-4
