@@ -75,12 +75,12 @@ def inside(parent: str) -> Iterator[None]:
 
 
 @contextmanager
-def with_field(field: str, head: str = "") -> Iterator[None]:
-    """Raise an InputError of the block with another field, and with a head before its problem."""
+def with_field(field: str) -> Iterator[None]:
+    """Raise an InputError of the block with another field."""
     try:
         yield
     except InputError as error:
-        raise InputError(field, head + error.problem) from error
+        raise InputError(field, error.problem) from error
 
 
 def check_kind(field: str, value: Any, kind: type[Any] | UnionType, called: str) -> None:

@@ -266,7 +266,7 @@ class Recording:
                 f"must leave a rate of {_PLAYED[0]:g} to {_PLAYED[1]:g} Hz, which browsers play, but {slower:g} makes "
                 f"it {rate:g} Hz",
             )
-        return inline_sound("play", self.samples[row], round(rate))
+        return inline_sound(self.samples[row], round(rate))
 
     def _repr_html_(self) -> str:
         rows = [
@@ -399,9 +399,13 @@ def decode_binaural(
     order = round(np.sqrt(len(rows))) - 1
     if (order + 1) ** 2 != len(rows) or order > HIGHEST:
         raise InputError("recording", f"must have all components of an order, but has {len(rows)}")
+    from scipy.signal import oaconvolve
+
     components, speed = _as_recorded(recording, name, order, normalization)
     filters = _ear_filters(_ears(hrtf), components, recording.sampling_rate, speed)
-    samples = _filtered(rows, filters)
+    half = filters.shape[2] // 2  # the second half is before time 0
+    whole = oaconvolve(rows[None], np.roll(filters, half, axis=2), axes=2).sum(axis=1)
+    samples = np.asarray(whole[:, half : half + rows.shape[1]], dtype=np.float32)
     channels = tuple((name, ear) for ear in EARS)
     names = tuple(f"{name} {ear}" for ear in EARS)
     return Recording(samples, recording.sampling_rate, names, None, recording.notes, channels=channels)
@@ -437,13 +441,3 @@ def _ear_filters(ears: ChannelDirectivity, components: Ambisonic, rate: float, s
     shares = np.linalg.pinv(harmonics)  # (C, n)
     gains = ears.gain_towards(directions[:, None], frequencies, speed)
     return np.asarray(irfft(np.einsum("cn,nfe->ecf", shares, gains), axis=-1))
-
-
-def _filtered(rows: Floats, filters: Floats) -> Floats:
-    """Return the sum (2, n) of rows (C, n) through filters (2, C, m) whose second half is before time 0."""
-    from scipy.signal import oaconvolve
-
-    half = filters.shape[2] // 2
-    taps = np.roll(filters, half, axis=2)
-    whole = oaconvolve(rows[None], taps, axes=2).sum(axis=1)
-    return np.asarray(whole[:, half : half + rows.shape[1]], dtype=np.float32)

@@ -10,25 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clsim.acoustics.room_acoustics import (
-    SPEECH_BANDS,
-    SPEECH_DB,
-    before_noise,
-    centre_time,
-    clarity,
-    decay_curve,
-    definition,
-    eyring_time,
-    has_decay_range,
-    interaural_correlation,
-    is_clipped,
-    lateral_fractions,
-    level_fall,
-    modulation_transfer,
-    reverberation_time,
-    sabine_time,
-    transmission_index,
-)
+from clsim.acoustics import room_acoustics as acoustics
 from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, short_repr, texts
 from clsim.errors import InputError, warn
 from clsim.files.sound import read_sound_file
@@ -160,7 +142,7 @@ class _Given:
         if len(samples) < _SHORTEST * rate:
             lasts = f"{1e3 * len(samples) / rate:.3g} ms"
             raise InputError("responses", f"must last {1e3 * _SHORTEST:g} ms at least, but {path} lasts {lasts}")
-        if is_clipped(samples):
+        if acoustics.is_clipped(samples):
             warn(f"{path} is clipped: several samples in a row are at full scale, so early energies are wrong")
         begin = int(np.argmax(np.abs(samples) >= peak * 10.0 ** (_ONSET_DB / 20.0)))
         names = ("measured",), (str(path),)
@@ -274,7 +256,7 @@ def speech_transmission(
     male speech. Noise at the end of a measured response is cut off where the decay meets it.
     """
     given, octave = _given(responses, channel, None), math.sqrt(2.0)
-    low, high = SPEECH_BANDS[0] / octave, SPEECH_BANDS[-1] * octave
+    low, high = acoustics.SPEECH_BANDS[0] / octave, acoustics.SPEECH_BANDS[-1] * octave
     if given.band[0] > low or given.band[1] < high:
         raise InputError(
             "responses", f"must reach from {low:.0f} to {high:.0f} Hz for the index, but reach from {given.band[0]:g} "
@@ -285,16 +267,16 @@ def speech_transmission(
     speech = None
     if speech_db is not None:
         one = np.isscalar(speech_db) or getattr(speech_db, "shape", None) == ()
-        speech = as_floats("speech_db", speech_db, () if one else (7,), within=200.0) + SPEECH_DB * one
+        speech = as_floats("speech_db", speech_db, () if one else (7,), within=200.0) + acoustics.SPEECH_DB * one
     noise = None if noise_db is None else as_floats("noise_db", noise_db, (7,), within=200.0)
     index = np.full(given.samples.shape[:2], math.nan)
     for s, r in np.argwhere(given.begin >= 0).tolist():
         transfer = []
-        for centre in SPEECH_BANDS.tolist():
+        for centre in acoustics.SPEECH_BANDS.tolist():
             taps, begin = cut_to_band(given.samples[s, r], given.rate, centre, octave), int(given.begin[s, r])
-            decay = taps[: begin + before_noise(taps[begin:], given.rate)[0]]
-            transfer.append(modulation_transfer(np.square(decay), given.rate))
-        index[s, r], _ = transmission_index(np.array(transfer), speech, noise)
+            decay = taps[: begin + acoustics.before_noise(taps[begin:], given.rate)[0]]
+            transfer.append(acoustics.modulation_transfer(np.square(decay), given.rate))
+        index[s, r], _ = acoustics.transmission_index(np.array(transfer), speech, noise)
     return read_only(index)
 
 
@@ -337,26 +319,26 @@ def cut_to_band(taps: Floats, rate: float, centre: float, share: float | None) -
 
 def _measures(taps: Floats, begin: int, rate: float, free_field: Floats | None) -> tuple[dict[str, float], bool]:
     """Measures of taps (n,) in a band by the sample of the first arrival, and whether noise hides one: NaN."""
-    whole, noise, beyond = before_noise(taps[begin:], rate)
+    whole, noise, beyond = acoustics.before_noise(taps[begin:], rate)
     decay = taps[: begin + whole]
-    curve, early = decay_curve(decay[begin:], noise, beyond), begin + round(0.05 * rate)
-    found = {name: reverberation_time(curve, rate, *levels) for name, levels in _DECAYS.items()}
+    curve, early = acoustics.decay_curve(decay[begin:], noise, beyond), begin + round(0.05 * rate)
+    found = {name: acoustics.reverberation_time(curve, rate, *levels) for name, levels in _DECAYS.items()}
     reached = [name for name in _DECAYS if math.isfinite(found[name])]
-    noisy, fall = beyond > 0.0, level_fall(taps[begin:], rate)
+    noisy, fall = beyond > 0.0, acoustics.level_fall(taps[begin:], rate)
     hidden = [
         name
         for name in reached
-        if not has_decay_range(curve, rate, _DECAYS[name][1], found[name], noisy=noisy, fall_db=fall)
+        if not acoustics.has_decay_range(curve, rate, _DECAYS[name][1], found[name], noisy=noisy, fall_db=fall)
     ]
     found |= dict.fromkeys(hidden, math.nan)
     energy, free = (math.nan if x is None else float(np.sum(np.square(x))) for x in (decay, free_field))
     found |= {
-        "c50": clarity(decay, early),
-        "c80": clarity(decay, begin + round(0.08 * rate)),
-        "d50": definition(decay, early),
-        "ts": centre_time(decay, rate, begin),
+        "c50": acoustics.clarity(decay, early),
+        "c80": acoustics.clarity(decay, begin + round(0.08 * rate)),
+        "d50": acoustics.definition(decay, early),
+        "ts": acoustics.centre_time(decay, rate, begin),
         "g": 10.0 * math.log10(energy / free) if energy > 0.0 and free > 0.0 else math.nan,
-        "drr": clarity(decay, begin + round(_DIRECT * rate)),
+        "drr": acoustics.clarity(decay, begin + round(_DIRECT * rate)),
     }
     return found, bool(hidden) or (noisy and len(reached) < len(_DECAYS))
 
@@ -368,8 +350,8 @@ def _diffuse(scene: Scene | None, frequencies: Floats) -> tuple[Floats, Floats]:
         return np.full(len(frequencies), math.nan), np.full(len(frequencies), math.nan)
     c = scene.air.speed_of_sound
     return (
-        sabine_time(field.volume, field.absorption_area, field.air, c),
-        eyring_time(field.volume, field.surface, field.absorption_area, field.air, c),
+        acoustics.sabine_time(field.volume, field.absorption_area, field.air, c),
+        acoustics.eyring_time(field.volume, field.surface, field.absorption_area, field.air, c),
     )
 
 
@@ -438,7 +420,10 @@ def lateral_measures(
         raise InputError("responses", f"must be ImpulseResponses, but are {responses!r:.80}")
     centres = band_centres(responses.band, bands)
     share, rate = 2.0 ** (0.5 / BANDS[bands]), responses.sampling_rate
-    samples = responses.samples / _factors(responses.scene)[:, None]
+    # Over microphones of gain 1 along their axes: ambisonic ones can be of N3D.
+    kinds = (end.directivity for end in responses.scene.receivers)
+    factors = np.concatenate([d.scale if isinstance(d, Ambisonic) else np.ones(len(d.channels)) for d in kinds])
+    samples = responses.samples / factors[:, None]
     shape, names = (len(samples), len(centres)), ("lf", "lfc", "iacc", "iacc_early", "iacc_late")
     found = {name: np.full(shape, math.nan) for name in names}
     for field, pair in (("microphones", microphones), ("ears", ears)):
@@ -451,20 +436,14 @@ def lateral_measures(
             for b, centre in enumerate(centres.tolist()):
                 one, other = (cut_to_band(samples[s, r], rate, centre, share) for r in rows)
                 if field == "microphones":
-                    found["lf"][s, b], found["lfc"][s, b] = lateral_fractions(one, other, rate, begin)
+                    found["lf"][s, b], found["lfc"][s, b] = acoustics.lateral_fractions(one, other, rate, begin)
                 else:
                     early = begin + round(_EARLY * rate)
-                    found["iacc"][s, b] = interaural_correlation(one, other, rate)
-                    found["iacc_early"][s, b] = interaural_correlation(one[:early], other[:early], rate)
-                    found["iacc_late"][s, b] = interaural_correlation(one[early:], other[early:], rate)
+                    found["iacc"][s, b] = acoustics.interaural_correlation(one, other, rate)
+                    found["iacc_early"][s, b] = acoustics.interaural_correlation(one[:early], other[:early], rate)
+                    found["iacc_late"][s, b] = acoustics.interaural_correlation(one[early:], other[early:], rate)
     values = {name: read_only(one) for name, one in found.items()}
     return LateralMeasures(read_only(centres), **values, source_names=responses.source_names)
-
-
-def _factors(scene: Scene) -> Floats:
-    """Factors of all rows of receivers over microphones of gain 1 along their axes: ambisonic ones can be of N3D."""
-    kinds = (end.directivity for end in scene.receivers)
-    return np.concatenate([d.scale if isinstance(d, Ambisonic) else np.ones(len(d.channels)) for d in kinds])
 
 
 def _rows(field: str, pair: Any, names: tuple[str, ...]) -> list[int]:

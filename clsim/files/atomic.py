@@ -48,16 +48,16 @@ class NewFile:
             raise InputError(field, f"must not exist yet, but {path} does (--force writes over it)")
 
 
-def check_folder(folder: Path, field: str = "--output") -> None:
+def check_folder(folder: Path) -> None:
     """Raise unless a folder exists or can be created."""
     here = Path(os.path.abspath(folder))  # noqa: PTH100  (links are not to be resolved)
     first = next(path for path in [here, *here.parents] if os.path.lexists(path))
     if not first.is_dir():
         what = "a file" if first.exists() else "a link to nothing"
-        raise InputError(field, f"must be a folder or lie in one, but {first} is {what}")
+        raise InputError("--output", f"must be a folder or lie in one, but {first} is {what}")
 
 
-def refuse_inputs(paths: Iterable[Path], inputs: Sequence[Path], field: str = "--output") -> None:
+def refuse_inputs(paths: Iterable[Path], inputs: Sequence[Path]) -> None:
     """Raise if an output is, or contains, an input file, under whatever name."""
     read = {_number(path): path for path in inputs if path.exists()}
     real = {Path(os.path.realpath(path)): path for path in inputs}
@@ -67,7 +67,7 @@ def refuse_inputs(paths: Iterable[Path], inputs: Sequence[Path], field: str = "-
             here = Path(os.path.realpath(path))
             found = next((given for file, given in real.items() if here in file.parents), None)
         if found is not None:
-            raise InputError(field, f"must write over no input, but {path} is {found}, which is read")
+            raise InputError("--output", f"must write over no input, but {path} is {found}, which is read")
 
 
 def _number(path: Path) -> tuple[int, int]:

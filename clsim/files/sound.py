@@ -225,13 +225,15 @@ def wav_header(sampling_rate: float, channels: int, samples: int, names: Sequenc
 
     Above 4 GiB it is an RF64 file (EBU Tech 3306), which has the lengths in a chunk ``ds64``.
     """
-    rate, frame = _whole_rate(sampling_rate), 4 * channels
+    rate, frame = as_number("sampling_rate", sampling_rate, at_least=1.0, below=2.0**31, unit="Hz"), 4 * channels
+    if not rate.is_integer():
+        raise InputError("sampling_rate", f"must be a whole number of Hz for a WAV file, but is {rate!r} Hz")
     if frame >= 2**16:
         raise InputError("channels", f"must be at most {2**14 - 1} in a WAV file, but are {channels}; use --store zarr")
     data = frame * samples
     more = _names_of_tracks(names)
     form = struct.pack(
-        "<4sIHHIIHHH", b"fmt ", 18, _IEEE_FLOAT, channels, rate, min(rate * frame, 2**32 - 1), frame, 32, 0
+        "<4sIHHIIHHH", b"fmt ", 18, _IEEE_FLOAT, channels, int(rate), min(int(rate) * frame, 2**32 - 1), frame, 32, 0
     )
     if 4 + len(form) + len(more) + 20 + data <= _LARGEST_WAV:
         fact = struct.pack("<4sII", b"fact", 4, samples)
@@ -260,13 +262,6 @@ def _names_of_tracks(names: Sequence[str]) -> bytes:
     text = f'<?xml version="1.0" encoding="UTF-8"?><BWFXML><IXML_VERSION>2.0</IXML_VERSION>{listed}</BWFXML>'
     content = text.encode()
     return struct.pack("<4sI", b"iXML", len(content)) + content + bytes(len(content) % 2)
-
-
-def _whole_rate(sampling_rate: float) -> int:
-    rate = as_number("sampling_rate", sampling_rate, at_least=1.0, below=2.0**31, unit="Hz")
-    if not rate.is_integer():
-        raise InputError("sampling_rate", f"must be a whole number of Hz for a WAV file, but is {rate!r} Hz")
-    return int(rate)
 
 
 def as_frames(samples: NDArray[Any]) -> NDArray[np.float32]:

@@ -133,7 +133,7 @@ class RadialOnSphere:
     @classmethod
     def through(cls, directions: Floats, values: Floats) -> RadialOnSphere:
         """Return the function of direction that goes through real values (n, u) in directions (n, 3)."""
-        # As of `ScatterOnSphere`, one derivative smoother.
+        # As of `scattered_on_sphere`, one derivative smoother.
         smooth = real_harmonics(_QUADRATIC, directions)
         count = smooth.shape[1]
         system = np.block([[_powers(directions, directions), smooth], [smooth.T, np.zeros((count, count))]])
@@ -159,7 +159,7 @@ def scattered_on_sphere(directions: Floats, values: NDArray[np.complex128]) -> O
 
     The sum of the cubes of distances to all directions and a linear function: the smoothest of all that go through the
     values, in the sense of the norm that belongs to the cube (H. Wendland, "Scattered Data Approximation", 2005,
-    chapters 8 and 17).
+    chapter 8 and chapter 17).
     """
     both = np.concatenate([values.real, values.imag], axis=1)
     functions = scipy.interpolate.RBFInterpolator(directions, both, kernel="cubic")

@@ -313,7 +313,7 @@ class PathSet:
         height = as_count("height", height, at_least=100, at_most=10_000)
         longest = known_until(self.scene.named_ends())
         until = longest if duration is None else as_number("duration", duration, at_least=0.0, unit="s")
-        return inline_page("show", paths_page(self, title="paths", duration=until, frames=frames, limit=limit), height)
+        return inline_page(paths_page(self, title="paths", duration=until, frames=frames, limit=limit), height)
 
     def _repr_html_(self) -> str:
         kinds, scene = np.unique(self.order), self.scene

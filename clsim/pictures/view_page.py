@@ -287,9 +287,9 @@ def html_table(title: str, head: Sequence[str], rows: Sequence[Sequence[object]]
     return f"<div><b>{html.escape(title)}</b><table>{body}</table>{below}</div>"
 
 
-def inline_page(field: str, page: str, height: int) -> Any:
-    """Return an HTML page for display in a notebook, of a height in pixels; errors name `field`."""
-    check_packages(field, "a notebook", "notebook", "IPython")
+def inline_page(page: str, height: int) -> Any:
+    """Return an HTML page for display in a notebook, of a height in pixels."""
+    check_packages("show", "a notebook", "notebook", "IPython")
     from IPython import display
 
     shown: Any = display.HTML  # its types are not told
@@ -298,9 +298,9 @@ def inline_page(field: str, page: str, height: int) -> Any:
     )
 
 
-def inline_sound(field: str, samples: NDArray[Any], rate: int) -> Any:
-    """Return a player of samples (n,) for a notebook at a rate, Hz; errors name `field`."""
-    check_packages(field, "a notebook", "notebook", "IPython")
+def inline_sound(samples: NDArray[Any], rate: int) -> Any:
+    """Return a player of samples (n,) for a notebook at a rate, Hz."""
+    check_packages("play", "a notebook", "notebook", "IPython")
     from IPython import display
 
     played: Any = display.Audio  # its types are not told

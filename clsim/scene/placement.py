@@ -82,17 +82,13 @@ def check_distances(field_name: str, source: Source, receivers: Sequence[Receive
     last = source.time_range[1]
     receivers = [r for r in receivers if not together(source, r)]
     static = [r for r in receivers if r.trajectory.is_static]
-    if static:
-        instants = Instants(0.0, last, _SCAN_RATE)
-        met = first_approach(source.trajectory, _places(static), nearest, instants)
+    groups: list[tuple[list[Receiver], Motion | Floats, float]] = [(static, _places(static), last)] if static else []
+    groups += [([r], r.trajectory, min(last, r.trajectory.end)) for r in receivers if not r.trajectory.is_static]
+    for those, where, until in groups:
+        instants = Instants(0.0, until, _SCAN_RATE)
+        met = first_approach(source.trajectory, where, nearest, instants)
         if met is not None:
-            raise _too_close(field_name, source, static[met[1]], nearest, instants, met[0])
-    for receiver in receivers:
-        if not receiver.trajectory.is_static:
-            instants = Instants(0.0, min(last, receiver.trajectory.end), _SCAN_RATE)
-            met = first_approach(source.trajectory, receiver.trajectory, nearest, instants)
-            if met is not None:
-                raise _too_close(field_name, source, receiver, nearest, instants, met[0])
+            raise _too_close(field_name, source, those[met[1]], nearest, instants, met[0])
 
 
 def _too_close(

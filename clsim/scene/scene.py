@@ -29,17 +29,6 @@ Bodies = Sequence[tuple[str, Body]]
 _TRAIL = 400  # points of a drawn trajectory
 
 
-def scene_page(room: Room, ends: Ends, bodies: Bodies, frames: int, title: str) -> str:
-    """Return page of a scene: frames from 0 s to the end of the first trajectory."""
-    moving = [*ends, *bodies]
-    times = frame_times(moving, known_until(moving), frames)
-    nothing = view_page.ViewedPaths.none()
-    return view_page.page_text(
-        title=title, walls=viewed_walls(room), ends=viewed_ends(ends, times), times=times,
-        frames=[nothing] * len(times), bodies=viewed_bodies(bodies, times), flaws=viewed_flaws(room),
-    )  # fmt: skip
-
-
 def known_until(ends: Sequence[tuple[str, End | Scatterer | Body]]) -> float:
     """Return end of the time in which all trajectories are defined, s; 0 for a static scene."""
     finite = [item.trajectory.end for _, item in ends if np.isfinite(item.trajectory.end)]
@@ -226,8 +215,14 @@ class Scene:
         """
         frames = as_count("frames", frames, at_least=1, at_most=10_000)
         height = as_count("height", height, at_least=100, at_most=10_000)
-        ends = [*self.named_ends(), *self.named_scatterers()]
-        return view_page.inline_page("show", scene_page(self.room, ends, self.named_bodies(), frames, "scene"), height)
+        ends, bodies = [*self.named_ends(), *self.named_scatterers()], self.named_bodies()
+        times = frame_times([*ends, *bodies], known_until([*ends, *bodies]), frames)
+        page = view_page.page_text(
+            title="scene", walls=viewed_walls(self.room), ends=viewed_ends(ends, times), times=times,
+            frames=[view_page.ViewedPaths.none()] * len(times), bodies=viewed_bodies(bodies, times),
+            flaws=viewed_flaws(self.room),
+        )  # fmt: skip
+        return view_page.inline_page(page, height)
 
     def _repr_html_(self) -> str:
         ends = []

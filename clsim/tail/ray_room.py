@@ -86,7 +86,11 @@ class RayRoom:
             planes = np.column_stack([room.faces.normals, room.faces.offsets - room.faces.normals @ middle])
             frames = [_frame(normal) for normal in room.faces.normals]
             along, across = (np.array([[*frame[i], _ENDLESS] for frame in frames]) for i in range(2))
-            return cls(True, middle, 0.0, _single(planes), _single(along), _single(across), *_empty_tree())
+            return cls(
+                True, middle, 0.0, _single(planes), _single(along), _single(across),
+                np.zeros((1, 6, WIDE), np.float32), np.zeros((1, WIDE), np.int32), np.zeros((1, 13, WIDE), np.float32),
+                np.full((1, WIDE), -1, np.int32),
+            )  # fmt: skip
         return cls._of_mesh(room.as_mesh(), middle)
 
     @classmethod
@@ -127,13 +131,6 @@ def _rectangles(walls: Walls) -> tuple[Floats, Floats]:
         sides.append([[*edges[best], lengths[0][best]], [*others[best], lengths[1][best]]])
     found = np.array(sides)
     return found[:, 0], found[:, 1]
-
-
-def _empty_tree() -> tuple[Float32s, Int32s, Float32s, Int32s]:
-    return (
-        np.zeros((1, 6, WIDE), np.float32), np.zeros((1, WIDE), np.int32), np.zeros((1, 13, WIDE), np.float32),
-        np.full((1, WIDE), -1, np.int32),
-    )  # fmt: skip
 
 
 def _tree(

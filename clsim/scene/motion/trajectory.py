@@ -62,13 +62,6 @@ def as_increasing(times: Any) -> Floats:
     return t
 
 
-def as_choices(field_name: str, values: Any, choices: tuple[str, ...]) -> tuple[str, ...]:
-    """Return a tuple of names."""
-    if not isinstance(values, list | tuple):
-        raise InputError(field_name, f"must be a list of names, but is {values!r:.80}")
-    return tuple(as_choice(f"{field_name}[{i}]", value, choices) for i, value in enumerate(values))
-
-
 def as_path(value: Any) -> Path:
     """Return the field ``path``."""
     if not isinstance(value, str | PathLike) or not str(value).strip():
@@ -85,13 +78,6 @@ def as_columns(value: Any, known: tuple[str, ...]) -> dict[str, str] | None:
     for name in value:
         as_choice("columns", name, known)
     return dict(value)
-
-
-def as_topic(value: Any) -> str:
-    """Return the field ``topic``."""
-    if not isinstance(value, str) or not value.strip():
-        raise InputError("topic", f"must name the topic of a bag, such as '/robot/pose', but is {value!r:.80}")
-    return value
 
 
 def as_quaternions(field: str, value: object, shape: tuple[int | None, ...]) -> Floats:
@@ -415,14 +401,18 @@ class Trajectory(Motion):
         from clsim.scene.motion import files
 
         strength = curves.as_smooth(smooth)
+        if not isinstance(repair, list | tuple):
+            raise InputError("repair", f"must be a list of names, but is {repair!r:.80}")
+        if format == "rosbag" and not (isinstance(topic, str) and topic.strip()):
+            raise InputError("topic", f"must name the topic of a bag, such as '/robot/pose', but is {topic!r:.80}")
         poses = files.read_poses(
             as_path(path),
             as_choice("format", format, files.FORMATS),
-            topic=topic if format != "rosbag" else as_topic(topic),
+            topic=topic,
             columns=as_columns(columns, files.POSE),
             time_scale=as_number("time_scale", time_scale, at_least=1e-12, at_most=1e6, unit="s"),
             scale=as_number("scale", scale, at_least=1e-9, at_most=1e9),
-            repair=as_choices("repair", repair, files.REPAIRS),
+            repair=tuple(as_choice(f"repair[{i}]", one, files.REPAIRS) for i, one in enumerate(repair)),
             max_speed=as_number("max_speed", max_speed, above=0.0, at_most=FARTHEST, unit="m/s"),
             max_gap=None if max_gap is None else as_span("max_gap", max_gap),
         )
