@@ -19,8 +19,6 @@ from clsim.scene.ends import Source
 from clsim.scene.material.material import LIBRARY, MATERIAL_NAMES, Material
 from clsim.scene.scene import Scene
 from clsim.scene_file import load_scene
-from clsim.scene_file.ends import DirectivityTableModel, SofaModel
-from clsim.workflow.pipeline import input_files
 
 _MOST_CURVES = 5
 _USUAL = (20e3, 40e3, 60e3)  # Hz, of a directivity that is known everywhere
@@ -86,6 +84,8 @@ def _diagrams(options: argparse.Namespace) -> tuple[list[DirectivityDiagram], li
     if options.end is not None and options.scene is None:
         raise InputError("--end", f"must come with a scene file, but is {options.end!r:.80}")
     if options.scene is not None:
+        from clsim.workflow.pipeline import input_files  # late, as all that `clsim materials` does without
+
         file = load_scene(options.scene)
         return _scene_diagrams(file.scene, options.end, wanted), input_files(options.scene, file)
     directivity = _read_directivity(options)
@@ -102,6 +102,8 @@ def _read_directivity(options: argparse.Namespace) -> Directivity:
     if options.name is not None:
         with with_field("--name"):
             return Directivity.named(options.name, outside="hold" if options.hold else None)
+    from clsim.scene_file.ends import DirectivityTableModel, SofaModel
+
     path, outside = str(options.table), "hold" if options.hold else None
     with inside("--table"):
         if options.table.suffix == ".sofa":

@@ -14,9 +14,6 @@ from clsim.errors import InputError
 from clsim.files.atomic import NewFile, atomic_path
 from clsim.scene_file import load_scene
 from clsim.score.ranging import METHODS, RangingScore, ranging, source_index
-from clsim.study import member as studies
-from clsim.study import shards
-from clsim.study.run import run_study
 from clsim.workflow import result_folder as runs
 from clsim.workflow.console import progress
 from clsim.workflow.load_recording import load_recording
@@ -41,6 +38,8 @@ def study_arguments(parser: argparse.ArgumentParser) -> None:
 
 def study(options: argparse.Namespace) -> int:
     """Run the study; return the exit status, 1 if members failed."""
+    from clsim.study.run import run_study  # late, as all that `clsim score` does without
+
     rows = run_study(
         options.study, options.output, resume=options.resume, retry=options.retry, limit=options.limit,
         workers=options.workers, scheduler=options.scheduler, progress=progress,
@@ -120,6 +119,9 @@ def verify_arguments(parser: argparse.ArgumentParser) -> None:
 
 def verify(options: argparse.Namespace) -> int:
     """Print the results that have changed; return the exit status, 1 if there are any."""
+    from clsim.study import member as studies
+    from clsim.study import shards
+
     folder = options.folder
     record = runs.load_record(folder, "folder")
     if record.files:

@@ -218,13 +218,11 @@ _RANGE_DB = 60.0
 
 def parameters_picture(room: MeasuredRoom, state: MeasuredState, found: Simulated, path: Path) -> None:
     """Draw means over pairs by band: measured parameters, clsim's, and those of other programs behind them."""
-    from matplotlib.figure import Figure
-
-    from clsim.pictures.plots import save_figure
+    from clsim.pictures import plots
 
     names, frequencies = list(found.values[0]), room.frequencies
     rows = -(-len(names) // _PANELS)
-    figure = Figure(figsize=(10.0, 0.6 + 2.5 * rows), layout="constrained")
+    figure = plots.empty_figure(10.0, 0.6 + 2.5 * rows)
     figure.suptitle(f"{room.name}, {state.name}: means over pairs", fontsize=13)
     every: Any = figure.subplots(rows, _PANELS, squeeze=False).ravel()
     for axes, name in zip(every, names, strict=False):
@@ -251,16 +249,14 @@ def parameters_picture(room: MeasuredRoom, state: MeasuredState, found: Simulate
     for axes in every[max(0, len(names) - _PANELS) : len(names)]:
         axes.set_xlabel("Hz")
     figure.legend(*every[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=10)
-    save_figure(figure, path)
+    plots.save_figure(figure, path)
 
 
 def ranks_picture(panels: Sequence[tuple[str, float, Floats]], path: Path, title: str) -> None:
     """Draw clsim's mean difference among those of other programs, a panel each: title, clsim's, others' (n,)."""
-    from matplotlib.figure import Figure
+    from clsim.pictures import plots
 
-    from clsim.pictures.plots import save_figure
-
-    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    figure = plots.empty_figure(10.0, 4.2)
     figure.suptitle(title, fontsize=13)
     every: Any = figure.subplots(1, len(panels), squeeze=False).ravel()
     for axes, (name, own, others) in zip(every, panels, strict=True):
@@ -278,7 +274,7 @@ def ranks_picture(panels: Sequence[tuple[str, float, Floats]], path: Path, title
         axes.set_ylim(0.0, 1.25 * heights.max())
         axes.legend(loc="upper left", fontsize=8)
     every[0].set_ylabel("mean difference (JND)")
-    save_figure(figure, path)
+    plots.save_figure(figure, path)
 
 
 def comparison_picture(
@@ -288,13 +284,11 @@ def comparison_picture(
     """Draw decay curves by band and early levels over time."""
     # Shapes: decays (title, measured (n,) dB, simulated (m,) dB) at times (n,), (m,) s of measured and simulated;
     # early: measured (k,), simulated (k,) dB at times (k,) s, the last of them; paths (p,) s.
-    from matplotlib.figure import Figure
-
-    from clsim.pictures.plots import save_figure
+    from clsim.pictures import plots
 
     columns = 4
     rows = -(-len(decays) // columns)
-    figure = Figure(figsize=(11.0, 3.2 + 2.4 * rows), layout="constrained")
+    figure = plots.empty_figure(11.0, 3.2 + 2.4 * rows)
     figure.suptitle(title, fontsize=13, parse_math=False)
     grid = figure.add_gridspec(rows + 1, columns)
     for i, (name, *levels) in enumerate(decays):
@@ -317,4 +311,4 @@ def comparison_picture(
     axes.set_xlim(float(1e3 * times[-1][0]), float(1e3 * times[-1][-1]))
     axes.legend(fontsize=9, ncols=3, loc="upper right")
     axes.grid(alpha=0.25, linewidth=0.6)
-    save_figure(figure, path)
+    plots.save_figure(figure, path)

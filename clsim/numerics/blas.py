@@ -12,7 +12,10 @@ from threadpoolctl import ThreadpoolController
 
 def blas_threads() -> int:
     """Return the number of threads that multiply matrices; it can change the rounding of results."""
-    return max((int(pool["num_threads"]) for pool in _libraries().info() if pool["user_api"] == "blas"), default=1)
+    return max(
+        (int(pool["num_threads"]) for pool in _libraries(len(sys.modules)).info() if pool["user_api"] == "blas"),
+        default=1,
+    )
 
 
 @contextmanager
@@ -25,15 +28,11 @@ def with_blas_threads(count: int) -> Iterator[None]:
     """
     import scipy.linalg  # noqa: F401
 
-    with _libraries().limit(limits=count, user_api="blas"):
+    with _libraries(len(sys.modules)).limit(limits=count, user_api="blas"):
         yield
 
 
-def _libraries() -> ThreadpoolController:
-    """Return the libraries of this process; the search takes milliseconds and is repeated after new imports."""
-    return _found(len(sys.modules))
-
-
 @lru_cache(maxsize=1)
-def _found(modules: int) -> ThreadpoolController:
+def _libraries(modules: int) -> ThreadpoolController:
+    """Return the libraries of this process; the search takes milliseconds and is repeated after new imports."""
     return ThreadpoolController()

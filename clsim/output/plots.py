@@ -51,13 +51,12 @@ def directivity_levels(diagram: DirectivityDiagram, angles: Floats, *, upright: 
 def directivity_picture(diagrams: list[DirectivityDiagram], path: str | os.PathLike[str]) -> None:
     """Draw polar diagrams, 0 to -40 dB, a curve per frequency; dashed the vertical plane if it differs."""
     import matplotlib as mpl
-    from matplotlib.figure import Figure
 
-    from clsim.pictures.plots import save_figure
+    from clsim.pictures import plots
 
     columns = min(len(diagrams), _COLUMNS)
     rows = -(-len(diagrams) // columns)
-    figure = Figure(figsize=(4.6 * columns, 5.0 * rows))
+    figure = plots.empty_figure(4.6 * columns, 5.0 * rows)
     figure.set_layout_engine("constrained", w_pad=0.1, h_pad=0.1)
     for k, diagram in enumerate(diagrams):
         axes: Any = figure.add_subplot(rows, columns, k + 1, projection="polar")
@@ -81,7 +80,7 @@ def directivity_picture(diagrams: list[DirectivityDiagram], path: str | os.PathL
         notes += ["solid: to the left, dashed: upwards"] if above is not None else []
         axes.set_title("\n".join([diagram.title, *notes]), fontsize=11, parse_math=False)
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.07), ncols=4, fontsize=8, frameon=False)
-    save_figure(figure, path, _DPI)
+    plots.save_figure(figure, path, _DPI)
 
 
 def _draw_speed(axes: Axes, air: Air, frequencies: Floats, colour: Any) -> None:
@@ -98,14 +97,13 @@ def _draw_speed(axes: Axes, air: Air, frequencies: Floats, colour: Any) -> None:
 def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
     """Draw absorption and speed of sound in air by frequency for some humidities, and absorption by humidity."""
     import matplotlib as mpl
-    from matplotlib.figure import Figure
 
-    from clsim.pictures.plots import save_figure
+    from clsim.pictures import plots
 
     for i, air in enumerate(airs):
         if not air.absorption:
             raise InputError(f"airs[{i}].absorption", "must be True to be drawn, but is False")
-    figure = Figure(figsize=(15.0, 4.6), layout="constrained")
+    figure = plots.empty_figure(15.0, 4.6)
     left, right, speeds = figure.subplots(1, 3)
     temperature, _, pressure = airs[0].state
     figure.suptitle(
@@ -133,7 +131,7 @@ def air_picture(airs: list[Air], path: str | os.PathLike[str]) -> None:
     right.legend(fontsize=9)
     for axes in (left, right, speeds):
         axes.grid(which="both", alpha=0.25, linewidth=0.6)
-    save_figure(figure, path, _DPI)
+    plots.save_figure(figure, path, _DPI)
 
 
 def _gain(diagram: DirectivityDiagram, angles: Floats, upright: bool) -> Any:
@@ -173,11 +171,10 @@ def reflection_loss(material: Material, frequency: Floats, cosine: Floats) -> Fl
 def reflection_losses(materials: Sequence[Material], path: str | os.PathLike[str], *, frequency: float = 40e3) -> None:
     """Draw the reflection loss of materials, by frequency at normal incidence and by angle at one frequency."""
     from matplotlib import colormaps
-    from matplotlib.figure import Figure
 
-    from clsim.pictures.plots import save_figure
+    from clsim.pictures import plots
 
-    figure = Figure(figsize=(10.0, 4.8 + 0.22 * (len(materials) // 4)), layout="constrained")
+    figure = plots.empty_figure(10.0, 4.8 + 0.22 * (len(materials) // 4))
     left, right = figure.subplots(1, 2, sharey=True)
     colours = colormaps["tab10" if len(materials) <= 10 else "tab20"]
     frequencies = np.geomspace(_LOW, _HIGH, 2001)
@@ -210,4 +207,4 @@ def reflection_losses(materials: Sequence[Material], path: str | os.PathLike[str
     for axes in (left, right):
         axes.minorticks_off()
     figure.legend(loc="outside lower center", ncols=4, fontsize=9, frameon=False)
-    save_figure(figure, path, _FINE)
+    plots.save_figure(figure, path, _FINE)

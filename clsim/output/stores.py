@@ -21,14 +21,7 @@ from clsim.arrays import Floats, row_name
 from clsim.errors import InputError, check_packages
 from clsim.files.atomic import to_disk, tree_to_disk, uninterrupted
 from clsim.files.sound import EnvelopeFile, SoundFile, wav_header
-from clsim.output.raw_files import (
-    ALL_CHUNKS,
-    CHECKSUM_BYTES,
-    LARGEST_CHUNK,
-    RawRows,
-    chunk_places,
-    create_file,
-)
+from clsim.output import raw_files
 from clsim.plugins import STORES as STORE_PLUGINS
 from clsim.plugins import with_plugins
 from clsim.recording import sound_attributes, sound_coordinates
@@ -140,14 +133,14 @@ class _RowStore(SoundStore):
 
     def __init__(self, folder: Path, sound: StoredSound, receivers: Sequence[str]) -> None:
         super().__init__(folder, sound, receivers)
-        self._rows = RawRows([])
+        self._rows = raw_files.RawRows([])
 
     @abstractmethod
     def places(self) -> list[tuple[Path, int]]:
         """Return file and byte at which each row begins."""
 
     def open(self) -> None:
-        self._rows = RawRows(self.places(), self._row_type or self._sound.sample_type)
+        self._rows = raw_files.RawRows(self.places(), self._row_type or self._sound.sample_type)
 
     def reserve(self, sizes: Sequence[int]) -> None:
         """Take the disk space of all files, bytes."""
@@ -238,18 +231,20 @@ class _Hdf5Store(_RowStore):
     def create(self) -> None:
         """Write all but the samples, whose chunks, of zeros, have their places in the file."""
         sound = self._sound
-        size = np.dtype(sound.sample_type).itemsize * self._chunk + CHECKSUM_BYTES
-        if size > LARGEST_CHUNK:
+        size = np.dtype(sound.sample_type).itemsize * self._chunk + raw_files.CHECKSUM_BYTES
+        if size > raw_files.LARGEST_CHUNK:
             raise InputError(
                 "chunk", f"must take less than 4 GiB of a receiver for --store hdf5, but takes {size} bytes"
             )
         shape = len(sound.receiver_names), sound.samples
-        create_file(self.paths[0], sound.coordinates(), shape, self._chunk, sound.sample_type, sound.sound_attributes)
+        raw_files.create_file(
+            self.paths[0], sound.coordinates(), shape, self._chunk, sound.sample_type, sound.sound_attributes
+        )
         self.reserve([self.paths[0].stat().st_size])
 
     def places(self) -> list[tuple[Path, int]]:
         """Return the file and the byte at which each chunk begins, those of the first receiver first."""
-        return [(self.paths[0], begin) for begin in chunk_places(self.paths[0])]
+        return [(self.paths[0], begin) for begin in raw_files.chunk_places(self.paths[0])]
 
     def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
         """Write a whole chunk `(receivers, n)` from sample `start` on, of receiver `first` and those behind it."""
@@ -403,7 +398,7 @@ def write_zarr(content: Any, path: Path, mode: Literal["a", "w-"]) -> None:
     # Indented, JSON is written by Python, not by C: a fifth of the time that the files of a short scene take.
     with warnings.catch_warnings(), zarr.config.set({"json_indent": None}):
         warnings.simplefilter("ignore")  # Zarr says that version 3 of its specification does not know gathering yet
-        content.assign_attrs(ALL_CHUNKS).to_zarr(
+        content.assign_attrs(raw_files.ALL_CHUNKS).to_zarr(
             store, mode="a", consolidated=False, zarr_format=3, encoding=encoding, write_empty_chunks=True
         )
         zarr.consolidate_metadata(store)

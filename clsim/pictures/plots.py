@@ -177,9 +177,14 @@ def draw_waveform(axes: Axes, samples: Readable, sampling_rate: float, *, title:
     axes.margins(x=0.0)
 
 
+def empty_figure(width: float, height: float) -> Figure:
+    """Return a figure of a size, inches, without axes."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
 def new_figure(height: float) -> tuple[Figure, Axes]:
     """Return a figure of its own, 10 inches wide, and its axes."""
-    figure = Figure(figsize=(10.0, height), layout="constrained")
+    figure = empty_figure(10.0, height)
     axes = figure.add_subplot()
     axes.title.set_fontsize(13)
     axes.title.set_parse_math(False)  # names may hold what looks like a formula

@@ -25,17 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.errors import InputError, warn
-from clsim.files.atomic import (
-    check_folder,
-    is_temporary,
-    locked,
-    refuse_inputs,
-    remove_leftovers,
-    safe_path,
-    sha256_of,
-    temporary_path,
-    to_disk,
-)
+from clsim.files import atomic
 
 COMPLETED = "scene.completed.toml"
 RECORD = "clsim.json"
@@ -105,7 +95,7 @@ def fingerprint(path: Path) -> Fingerprint | None:
     try:
         mode = path.lstat().st_mode
         if stat.S_ISREG(mode):
-            return path.stat().st_size, sha256_of(path)
+            return path.stat().st_size, atomic.sha256_of(path)
         if not stat.S_ISDIR(mode):
             return None
         inside = {child.name: fingerprint(child) for child in sorted(path.iterdir())}
@@ -137,7 +127,7 @@ class Journal:
     def save(self, identity: dict[str, Any], done: int, state: State) -> None:
         """Record that `done` samples are on the disk, with the state of the receivers after them."""
         write: Any = np.savez
-        with safe_path(self._path) as temporary:
+        with atomic.safe_path(self._path) as temporary:
             write(temporary, identity=np.array(json.dumps(identity)), done=np.array(done), **state)
 
     def load(self) -> tuple[dict[str, Any], int, State]:
@@ -189,12 +179,12 @@ class ResultFolder:
     @contextmanager
     def held(self) -> Iterator[None]:
         """Lock the folder for this process; refuse foreign files, and clean up when the block ends."""
-        check_folder(self.folder)
+        atomic.check_folder(self.folder)
         self._check_before()
         made = [path for path in [self.folder, *self.folder.parents] if not path.exists()]
         self.work.mkdir(parents=True, exist_ok=True)
         try:
-            with locked(self.work / _LOCK, "--output"):
+            with atomic.locked(self.work / _LOCK, "--output"):
                 try:
                     self._check()
                     yield
@@ -221,7 +211,7 @@ class ResultFolder:
         if not self._resume or self._record.identity != self._identity:
             self._record = self._record.outdated()
         made_here = sorted({*self._names, *self._contents()})
-        with safe_path(self.work / _CONTENTS) as temporary:
+        with atomic.safe_path(self.work / _CONTENTS) as temporary:
             temporary.write_text(json.dumps(made_here), "utf-8")
 
     def is_whole(self, name: str) -> bool:
@@ -241,14 +231,14 @@ class ResultFolder:
         before = tuple((n, old.files[n]) for n in names if n in old.files)
         for name in names:
             if (self.work / name).is_file():  # sound is flushed already
-                to_disk(self.work / name)
+                atomic.to_disk(self.work / name)
         fresh = {n: mark for n in names if (mark := fingerprint(self.work / n)) is not None}
         files = dict(sorted((old.files | fresh).items()))
         self._save(Record(self._identity, False, files, (*old.replaced, *before)))
         for name in names:
             self._make_room(name)
             (self.work / name).replace(self.folder / name)
-        to_disk(self.folder)
+        atomic.to_disk(self.folder)
         left = [(name, mark) for name, mark in self._record.replaced if name not in self._record.files]
         for name, mark in left:  # earlier results that this run does not make
             if (finished or name not in self._names) and fingerprint(self.folder / name) == mark:
@@ -259,13 +249,13 @@ class ResultFolder:
 
     def _save(self, record: Record) -> None:
         self._record = record
-        with safe_path(self.folder / RECORD, self.work) as temporary:  # on the disk itself
+        with atomic.safe_path(self.folder / RECORD, self.work) as temporary:  # on the disk itself
             temporary.write_text(json.dumps({"format": _FORMAT, **asdict(record)}, indent=1) + "\n", "utf-8")
 
     def _make_room(self, name: str) -> None:
         """Set aside an earlier result; one that somebody changed is kept under another name."""
         target = self.folder / name
-        refuse_inputs([target], self._inputs)
+        atomic.refuse_inputs([target], self._inputs)
         if not os.path.lexists(target):
             return
         if fingerprint(target) in self._record.fingerprints(name):
@@ -280,7 +270,7 @@ class ResultFolder:
 
     def _set_aside(self, name: str) -> None:
         """Take one of our results out of the folder at once, however many files it has, to be deleted."""
-        (self.folder / name).replace(temporary_path(self.work / name))
+        (self.folder / name).replace(atomic.temporary_path(self.work / name))
 
     def _check_before(self) -> None:
         """Refuse a working folder that is not ours; ours has a lock as long as it has anything."""
@@ -298,7 +288,7 @@ class ResultFolder:
         self._seen = True
         self._record = load_record(self.folder)
         mine = self._record.names()
-        refuse_inputs([self.folder / name for name in {*self._names, *mine, RECORD}], self._inputs)
+        atomic.refuse_inputs([self.folder / name for name in {*self._names, *mine, RECORD}], self._inputs)
         if not (self._resume or self._force):
             if self.journal.exists() or (mine and not self._record.finished):
                 where = self.work if self.journal.exists() else self.folder
@@ -310,19 +300,19 @@ class ResultFolder:
         for name in self._names:
             if name not in mine:
                 self._refuse(self.folder / name)
-        remove_leftovers(self.folder)
+        atomic.remove_leftovers(self.folder)
 
     def _check_work(self) -> None:
         known = {_LOCK, *self._contents()}
         for path in self.work.iterdir():
             shared = path.is_file() and path.stat().st_nlink > 1  # writing into it would change another file
-            if path.is_symlink() or shared or not (path.name in known or is_temporary(path.name)):
+            if path.is_symlink() or shared or not (path.name in known or atomic.is_temporary(path.name)):
                 self._refuse(path)
             for part in path.rglob("*") if path.is_dir() else ():
                 pattern = _STORE_FILE if part.is_file() else _STORE_FOLDER
                 if part.is_symlink() or not pattern.fullmatch(part.relative_to(path).as_posix()):
                     self._refuse(part)
-        refuse_inputs(self.work.rglob("*"), self._inputs)
+        atomic.refuse_inputs(self.work.rglob("*"), self._inputs)
 
     def _contents(self) -> list[str]:
         """Return the names of clsim's files in `work`, beside the lock."""
@@ -353,7 +343,7 @@ class ResultFolder:
         """Delete our files in `work`, the list of them last."""
         ours = {*self._contents(), _LOCK} if lock else {*self._contents()}
         for path in sorted(self.work.iterdir(), key=lambda path: (path.name == _LOCK, path.name == _CONTENTS)):
-            if path.name in ours or is_temporary(path.name):
+            if path.name in ours or atomic.is_temporary(path.name):
                 if path.is_dir() and not path.is_symlink():
                     _remove_folder(path)
                 else:

@@ -29,15 +29,15 @@ def done(finished: Path, tmp_path: Path) -> Path:
 
 def test_results_that_come_while_waiting_for_the_lock_are_seen(done: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     """A run that looked at an empty folder and then got the lock of one that had finished."""
-    from clsim.workflow import result_folder
+    from clsim.files import atomic
 
-    first, out, locked = tmp_path / "out", tmp_path / "late", result_folder.locked
+    first, out, locked = tmp_path / "out", tmp_path / "late", atomic.locked
 
     def late(path: Path, field: str):
         shutil.copytree(first, out, dirs_exist_ok=True)
         return locked(path, field)
 
-    monkeypatch.setattr(result_folder, "locked", late)
+    monkeypatch.setattr(atomic, "locked", late)
     assert run(done / "s.toml", out) == 2
     assert "must hold no results yet" in capsys.readouterr().err
     assert everything(out) == everything(first)

@@ -15,14 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from clsim.acoustics.directivity import fit_delay
 from clsim.arrays import Floats, as_count, read_only, short_repr
 from clsim.errors import InputError, settle
-from clsim.numerics.sphere import (
-    GridOnSphere,
-    OverSphere,
-    largest_hole,
-    merged,
-    neighbours_on_sphere,
-    scattered_on_sphere,
-)
+from clsim.numerics import sphere
 from clsim.scene.directivity import directivity as tables
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.directivity.text_files import axes_of, cartesian, opened_sofa, read_sofa, sampling_rate_of
@@ -85,13 +78,13 @@ class SphericalDirectivity(Directivity):
         directions = tables.unit_directions(self.directions)
         values = tables.as_gains(self.values, (len(directions), len(frequencies)), "directions by frequencies")
         tables.check_level(values, "")
-        directions, values = merged(directions, values)
-        hole = largest_hole(directions)
+        directions, values = sphere.merged(directions, values)
+        hole = sphere.largest_hole(directions)
         if hole > _LARGEST_HOLE:
             problem = f"must surround the transducer with no gap wider than {_LARGEST_HOLE:g}° from its middle, but "
             problem += f"{'all lie on one side' if hole >= 90.0 else f'there is one of {hole:.0f}°'}"
             raise InputError("directions", problem)
-        if len(directions) > _MOST_SCATTERED and GridOnSphere.of(directions) is None:
+        if len(directions) > _MOST_SCATTERED and sphere.GridOnSphere.of(directions) is None:
             raise InputError(
                 "directions",
                 f"must be at most {_MOST_SCATTERED} unless they are an equiangular grid, but are {len(directions)}",
@@ -102,7 +95,7 @@ class SphericalDirectivity(Directivity):
             values = tables.over_axis(values, axis, frequencies)
         delay = np.zeros(4)
         if np.iscomplexobj(values):
-            delay = fit_delay(directions, frequencies, values, neighbours_on_sphere(directions))
+            delay = fit_delay(directions, frequencies, values, sphere.neighbours_on_sphere(directions))
         kept = {"directions": directions, "frequencies": frequencies, "values": values, "delay": delay}
         settle(self, **{name: read_only(array) for name, array in kept.items()})
 
@@ -158,13 +151,13 @@ class SphericalDirectivity(Directivity):
 
 
 @lru_cache(maxsize=32)
-def _joined(table: SphericalDirectivity, frequencies: bytes) -> OverSphere:
+def _joined(table: SphericalDirectivity, frequencies: bytes) -> sphere.OverSphere:
     """Return the function of direction at frequencies (u,) given as bytes; its results are (n, u)."""
     turn = 2j * np.pi * (table.delay[0] + table.directions @ table.delay[1:])[:, None]
     rest = table.values * np.exp(turn * table.frequencies)
     rows = tables.joined_over_frequency(table.frequencies, rest, np.frombuffer(frequencies))
-    grid = GridOnSphere.of(table.directions)
-    return grid.through(rows) if grid is not None else scattered_on_sphere(table.directions, rows)
+    grid = sphere.GridOnSphere.of(table.directions)
+    return grid.through(rows) if grid is not None else sphere.scattered_on_sphere(table.directions, rows)
 
 
 # One source, and a receiver in each direction. AES69-2022 has no FreeFieldDirectivityIR; files that say so are laid out
