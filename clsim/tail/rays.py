@@ -112,17 +112,25 @@ class Tracer:
         self.engine.trace(self._run(origin, emitted, spheres, zone, _PILOT, longest, 0), layout, energies)
         total = np.zeros(energies.windows.shape[1:])
         total[:, :, self._order] = energies.windows.sum(axis=0)
-        pilot = _Pilot(total)
-        until = pilot.until(self.energies.air, self.groups, self.speed_of_sound)
+        until, late = self._until(total), late_shares(total)
         bins = math.ceil(float(until.max()) / (STEP * self.speed_of_sound))
         bytes_each = 8.0 * len(self.energies.air) * (len(spheres.arrivals) * min(bins, RAIN / STEP) + bins)
         step = max(1, int(_BYTES / bytes_each))
         found = []
         for i in range(0, len(spheres.centres), step):
-            late = pilot.late[i : i + step]
-            search = _Search(self, origin, emitted, spheres, zone, until, slice(i, i + step), late)
+            part = slice(i, i + step)
+            search = _Search(self, origin, emitted, spheres, zone, until, part, late[part])
             found.append(search.found(error_db))
         return found
+
+    def _until(self, windows: Floats) -> Floats:
+        """Return the way (G,), m, after which little is left of energies (Z, windows, B) in a group's bands."""
+        times = WINDOW * (np.arange(windows.shape[1]) + 0.5)
+        energy = windows.sum(axis=0) * np.exp(-np.multiply.outer(times, self.speed_of_sound * self.energies.air))
+        left = np.cumsum(energy[::-1], axis=0)[::-1]
+        loud = [(left[:, group] > FLOOR * left[:1, group]).any(axis=1) for group in self.groups]
+        last = [int(np.flatnonzero(one).max(initial=0)) for one in loud]
+        return np.asarray((np.array(last) + 2.0) * WINDOW * self.speed_of_sound)
 
     def escaped(self, origin: Floats, emitted: Emitted, rays: int = 1024) -> Escaped:
         """Return the energy that escapes of what is emitted at a place, m, by some rays."""
@@ -192,25 +200,10 @@ class Tracer:
         )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pilot:
-    """Energies of few rays."""
-
-    windows: Floats  # (Z, windows, B)
-
-    def until(self, air: Floats, groups: list[Ints], c: float) -> Floats:
-        """Return the way (G,) in m after which next to nothing is left in any band of a group."""
-        times = WINDOW * (np.arange(self.windows.shape[1]) + 0.5)
-        energy = self.windows.sum(axis=0) * np.exp(-np.multiply.outer(times, c * air))
-        left = np.cumsum(energy[::-1], axis=0)[::-1]
-        last = [int(np.flatnonzero((left[:, g] > FLOOR * left[:1, g]).any(axis=1)).max(initial=0)) for g in groups]
-        return np.asarray((np.array(last) + 2.0) * WINDOW * c)
-
-    @property
-    def late(self) -> Floats:
-        """Late energy (Z,) of zones, over the bands' means."""
-        late = self.windows[:, round(RAIN / WINDOW) :].sum(axis=1)
-        return np.asarray((late / np.maximum(late.mean(axis=0), 1e-300)).mean(axis=1))
+def late_shares(windows: Floats) -> Floats:
+    """Return late energies (Z,) over their means in bands, of energies (Z, windows, B)."""
+    late = windows[:, round(RAIN / WINDOW) :].sum(axis=1)
+    return np.asarray((late / np.maximum(late.mean(axis=0), 1e-300)).mean(axis=1))
 
 
 def rows_of(late: Floats) -> tuple[Ints, int]:

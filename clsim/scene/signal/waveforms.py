@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -88,9 +89,7 @@ class Tone:
         whole = np.multiply.outer(self.amplitude * np.sin(begin), cosine)
         whole += np.multiply.outer(self.amplitude * np.cos(begin), sine)
         out = whole.ravel()[first - start * _TONE_BLOCK : last - start * _TONE_BLOCK]
-        if self.fade > 0.0:
-            _taper(out, first, sampling_rate, self.duration, self.fade)
-        return np.asarray(out)
+        return _faded(out, first, sampling_rate, self.duration, self.fade)
 
     def at_rate(self, old: float, new: float) -> Tone:
         _fits("frequency", self.frequency, new)
@@ -123,9 +122,7 @@ class Chirp:
             growth = math.log(self.stop / self.start) / self.duration
             cycles = self.start * np.expm1(growth * t) / growth
         out = self.amplitude * np.sin(2.0 * math.pi * (cycles - np.floor(cycles)))
-        if self.taper > 0.0:
-            _taper(out, first, sampling_rate, self.duration, self.fade)
-        return np.asarray(out)
+        return _faded(out, first, sampling_rate, self.duration, self.fade)
 
     def steady_band(self, sampling_rate: float, first: int, last: int) -> tuple[float, float]:
         """Return the lowest and the highest frequency from a sample to another, Hz."""
@@ -216,19 +213,12 @@ class Noise:
         return _count(self.duration, sampling_rate)
 
     def read(self, first: int, last: int, sampling_rate: float) -> Floats:
-        out = self._steady(first, last, sampling_rate)
-        if self.fade > 0.0:
-            _taper(out, first, sampling_rate, self.duration, self.fade)
-        return out
-
-    def _steady(self, first: int, last: int, sampling_rate: float) -> Floats:
-        """Return samples without the rise and fall."""
-        if self.band is None:
-            return self.rms * white_noise(self.seed, first, last)
-        start, stop = first // _NOISE_BLOCK, -(-last // _NOISE_BLOCK)
-        blocks = [_noise_block(self.seed, self.band, sampling_rate, k) for k in range(start, stop)]
-        out = np.concatenate(blocks)[first - start * _NOISE_BLOCK : last - start * _NOISE_BLOCK]
-        return np.asarray(self.rms * out)
+        band = self.band
+        block = partial(_white_block, self.seed)
+        if band is not None:
+            block = partial(_noise_block, self.seed, band, sampling_rate)
+        out = self.rms * _of_blocks(block, first, last)
+        return _faded(out, first, sampling_rate, self.duration, self.fade)
 
     def at_rate(self, old: float, new: float) -> Noise:
         """Return noise of the same seed and band; its samples are others, since each is drawn by itself."""
@@ -294,9 +284,14 @@ class Samples:
 
 def white_noise(seed: int, first: int, last: int) -> Floats:
     """Return samples `first` to `last` of endless Gaussian noise of unit variance, the same however they are cut."""
-    a, b = first // _NOISE_BLOCK, -(-last // _NOISE_BLOCK)
-    parts = [_white_block(seed, k) for k in range(a, b)]
-    return np.concatenate(parts)[first - a * _NOISE_BLOCK : last - a * _NOISE_BLOCK]
+    return _of_blocks(partial(_white_block, seed), first, last)
+
+
+def _of_blocks(block: Callable[[int], Floats], first: int, last: int) -> Floats:
+    """Return samples `first` to `last` of what is made block by block."""
+    start = first // _NOISE_BLOCK
+    blocks = [block(k) for k in range(start, -(-last // _NOISE_BLOCK))]
+    return np.concatenate(blocks)[first - start * _NOISE_BLOCK : last - start * _NOISE_BLOCK]
 
 
 @lru_cache(maxsize=4)  # neighbours of a block that is filtered
@@ -332,8 +327,10 @@ def _band_response(low: float, high: float, sampling_rate: float) -> NDArray[np.
     return np.asarray(scipy.fft.rfft(taps / np.linalg.norm(taps), _NOISE_BLOCK + 2 * _NOISE_HALF))
 
 
-def _taper(out: Floats, first: int, sampling_rate: float, duration: float, fade: float) -> None:
-    """Apply a raised-cosine rise and fall, each `fade` long (s), to samples from `first` on, in place."""
+def _faded(out: Floats, first: int, sampling_rate: float, duration: float, fade: float) -> Floats:
+    """Return samples from `first` on after a raised-cosine rise and fall in place, each `fade` long (s)."""
+    if fade <= 0.0:
+        return out
     reach = math.ceil(fade * sampling_rate) + 1
     rise = slice(0, max(0, reach - first))
     fall = slice(max(rise.stop, math.floor((duration - fade) * sampling_rate) - first), None)
@@ -341,6 +338,7 @@ def _taper(out: Floats, first: int, sampling_rate: float, duration: float, fade:
         t = (np.arange(len(out))[part] + first) / sampling_rate
         share = np.clip(np.minimum(t, duration - t), 0.0, fade) / fade
         out[part] *= np.sin(0.5 * math.pi * share) ** 2
+    return out
 
 
 def _count(duration: float, sampling_rate: float) -> int:
