@@ -21,9 +21,6 @@ from clsim.scene.placement import TOUCHING, Placed, check_lasts, first_refused
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.protocol import Room, is_room
 
-T = TypeVar("T")
-Named = Sequence[tuple[str, T]]
-
 End = TypeVar("End", Source, Receiver)
 _SHEET = (0, 1, 3, 2)  # corners of the face of a box on one side of an axis, around it
 _SIDES = ("min", "max")

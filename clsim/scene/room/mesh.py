@@ -102,7 +102,7 @@ class MeshRoom:
             problem = f"must be indices of {len(vertices)} vertices, but is {triangles[i].tolist()}"
             raise InputError(f"triangles[{i}]", problem)
         triangles = triangles.astype(np.int64)
-        materials = _per_one("materials", self.materials, len(triangles), "triangle")
+        materials = _per_one(self.materials, len(triangles), "triangle")
         labels = ("",) * len(triangles) if self.labels is None else tuple(self.labels)
         if len(labels) != len(triangles):
             raise InputError("labels", f"must be one per triangle, {len(triangles)}, but are {len(labels)}")
@@ -199,7 +199,7 @@ class MeshRoom:
         """
         points = as_floats("corners", corners, (None, 3), within=FARTHEST, unit="m")
         rows = checked_polygons(polygons, len(points))
-        given = _per_one("materials", materials, len(rows), "polygon")
+        given = _per_one(materials, len(rows), "polygon")
         names = tuple(f"polygon {i}" for i in range(len(rows))) if labels is None else tuple(labels)
         if len(names) != len(rows):
             raise InputError("labels", f"must be one per polygon, {len(rows)}, but are {len(names)}")
@@ -469,15 +469,15 @@ def _volume(room: MeshRoom) -> float | None:
     )
 
 
-def _per_one(name: str, materials: object, count: int, of: str) -> list[Material]:
+def _per_one(materials: object, count: int, of: str) -> list[Material]:
     if isinstance(materials, Material):
         return [materials] * count
     if not isinstance(materials, Sequence) or isinstance(materials, str):
-        raise InputError(name, f"must be a Material or one per {of}, but is {materials!r:.80}")
+        raise InputError("materials", f"must be a Material or one per {of}, but is {materials!r:.80}")
     if len(materials) != count:
-        raise InputError(name, f"must be one per {of}, {count}, but are {len(materials)}")
+        raise InputError("materials", f"must be one per {of}, {count}, but are {len(materials)}")
     for i, material in enumerate(materials):
-        check_kind(f"{name}[{i}]", material, Material, "a Material")
+        check_kind(f"materials[{i}]", material, Material, "a Material")
     return list(materials)
 
 

@@ -105,7 +105,6 @@ class MeshShape:
     """Connectivity of the triangles of a mesh."""
 
     open_edges: Floats  # (n, 2, 3) edges of an odd number of triangles that are no sheets, m
-    crowded_edges: int  # edges of three triangles or more
     flipped_edges: int  # edges whose two triangles run in the same direction: one of them is flipped
     inwards: bool  # whether it is watertight and all triangles face inwards
     sheets: NDArray[np.bool_]  # (T,) of which triangles are flat sheets in a room that is closed without them
@@ -128,7 +127,7 @@ def mesh_shape(vertices: Floats, triangles: NDArray[np.int64]) -> MeshShape:
     opened = edges[np.bincount(which[solid], minlength=len(edges)) % 2 == 1]
     flipped = int(np.sum((uses == 2) & (forward != 1)))
     inwards = volume < 0.0 and not flipped and not len(opened) and not sheets.any()
-    return MeshShape(vertices[opened], int(np.sum(uses > 2)), flipped, inwards, sheets)
+    return MeshShape(vertices[opened], flipped, inwards, sheets)
 
 
 def _sheets(vertices: Floats, triangles: NDArray[np.int64], which: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -68,16 +68,12 @@ class ConvexRoom(ABC):
     def first_contact(self, positions: Floats, mount: Mount | None = None) -> Contact | None:
         """Return the first contact: outside the room, or off its own wall; see `Room.first_contact`."""
         seen = positions if mount is None else mount.lifted(positions)
-        outside = np.flatnonzero(~(self._heights(seen) > 0.0))
-        return first_of(
-            None if mount is None else mount.first_off(positions),
-            self._outside(int(outside[0]), positions[outside[0]]) if len(outside) else None,
-        )
-
-    def _outside(self, index: int, position: Floats) -> Contact:
-        on = self.walls_at(position)
-        hint = f", on the wall {self.faces.names[on[0]]}; an end in a wall needs flush=True" if len(on) == 1 else ""
-        return Contact(index, "must stay inside the room", "is", hint)
+        found = None if mount is None else mount.first_off(positions)
+        for i in np.flatnonzero(~(self._heights(seen) > 0.0))[:1].tolist():
+            on = self.walls_at(positions[i])
+            hint = f", on the wall {self.faces.names[on[0]]}; an end in a wall needs flush=True" if len(on) == 1 else ""
+            found = first_of(found, Contact(i, "must stay inside the room", "is", hint))
+        return found
 
     def edges(self) -> Edges:
         """Return none: no wall ends in the air, and no corner points inwards."""
