@@ -30,8 +30,11 @@ class RawRows:
     def __init__(self, places: Sequence[tuple[Path, int]], sample_type: str = "<f4") -> None:
         self._places, self._type = places, np.dtype(sample_type)
         self._files: dict[Path, int] = {}
+
+    def open(self) -> None:
+        """Make ready to write."""
         try:
-            for path, _ in places:
+            for path, _ in self._places:
                 if path not in self._files:
                     self._files[path] = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
         except OSError:
@@ -78,26 +81,14 @@ class RawRows:
         self._files = {}
 
 
-class SampleFile:
+class SampleFile(RawRows):
     """Samples of several receivers in a file that is read as an array, in bounded memory."""
 
     def __init__(self, path: Path, shape: tuple[int, int], sample_type: str) -> None:
-        self._path, self._shape, self._type = path, shape, np.dtype(sample_type)
-        self._rows = RawRows([])
-
-    def open(self) -> None:
-        """Make ready to write."""
-        row = self._type.itemsize * self._shape[1]
-        self._path.touch()
-        self._rows = RawRows([(self._path, row * r) for r in range(self._shape[0])], self._type.str)
-
-    def write(self, start: int, samples: NDArray[Any]) -> None:
-        """Write samples (receivers, n) from sample `start` on."""
-        self._rows.write(start, samples)
-
-    def close(self) -> None:
-        """Write no more."""
-        self._rows.close()
+        row = np.dtype(sample_type).itemsize * shape[1]
+        super().__init__([(path, row * r) for r in range(shape[0])], sample_type)
+        self._path, self._shape = path, shape
+        path.touch()
 
     def samples(self) -> NDArray[Any]:
         """Return all samples (receivers, n); they are read where they are used."""

@@ -141,6 +141,7 @@ class _RowStore(SoundStore):
 
     def open(self) -> None:
         self._rows = raw_files.RawRows(self.places(), self._row_type or self._sound.sample_type)
+        self._rows.open()
 
     def reserve(self, sizes: Sequence[int]) -> None:
         """Take the disk space of all files, bytes."""
