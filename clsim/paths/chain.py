@@ -15,23 +15,15 @@ import numpy as np
 
 from clsim.arrays import Complexes, Floats, read_only
 from clsim.errors import InputError
-from clsim.paths.arrivals import RETARDED, Arrivals, Kinematics
 from clsim.paths.family import DIFFRACTION, TRANSMISSION, Instant, PathFamily, PeakSpeeds, Rows, ends_at
 from clsim.paths.links import Integers, Links
-from clsim.paths.response import SceneResponse
+from clsim.paths.response import RETARDED, Arrivals, Kinematics, SceneResponse
 from clsim.scene.air import Air
 from clsim.scene.scene import Scene
 
 _ROUNDS = 4  # of finding the time of emission
 DEVICE, HOST, REFUSED = "device", "host", "refused"
 MEDIA = ("still air", "wind", "air by height", "fluctuating air")
-# Methods of rendering, and the media in which they take pairs whose paths change with both ends alone.
-METHODS = {
-    "sum over paths": MEDIA,
-    "narrow bands": MEDIA,
-    "convolution (pairs at rest)": MEDIA[:3],
-    "sampled channels": MEDIA[:3],
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,17 +112,6 @@ def check_support(kind: str, air: Air) -> None:
 def program_of(kind: str, air: Air) -> str | None:
     """Name the device's program of nodes for a kind of chains; None where the host makes them."""
     return SUPPORT[kind].program if support(kind, air) == DEVICE else None
-
-
-def support_tables() -> str:
-    """Write the matrix as tables of a page: paths by media, and methods by media."""
-    head = f"{' | '.join(MEDIA)} |\n|{'---|' * (len(MEDIA) + 1)}"
-    rows = [f"| {row.paths} | {' | '.join(row.where)} |" for row in SUPPORT.values()]
-    methods = [
-        f"| {name} | {' | '.join('yes' if medium in media else 'no' for medium in MEDIA)} |"
-        for name, media in METHODS.items()
-    ]
-    return "\n".join([f"| nodes of paths by | {head}", *rows, "", f"| method | {head}", *methods])
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from clsim.arrays import Complexes, Floats, as_number, short_repr, texts
 from clsim.errors import InputError, warn
 from clsim.numerics.band_filters import BandKernels
-from clsim.paths.arrivals import Arrivals, Kinematics, slices_of
 from clsim.paths.family import PairPaths
 from clsim.paths.path_table import labelled_dataset
-from clsim.paths.response import SceneResponse, check_band_coverage
+from clsim.paths.response import Arrivals, Kinematics, SceneResponse, check_band_coverage, slices_of
 from clsim.scene.scene import Scene
 
 Pairs = Iterable[tuple[NDArray[np.int64], PairPaths]]

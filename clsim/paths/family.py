@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
 from clsim.errors import InputError
-from clsim.paths.arrivals import RETARDED, Arrivals, Kinematics
 from clsim.paths.propagation import Medium, SpeedRange, medium_of
-from clsim.paths.response import SceneResponse, is_complex, to_transducer_frame
+from clsim.paths.response import RETARDED, Arrivals, Kinematics, SceneResponse, is_complex, to_transducer_frame
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.scatterer import Scatterer

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from clsim.arrays import Floats, as_count, as_number, read_only
 from clsim.errors import InputError, warn
 from clsim.keywords import keywords_of
-from clsim.paths.arrivals import QUASI_STATIC
 from clsim.paths.chain import Chain
 from clsim.paths.family import BODY, SPECULAR, PathFamily
 from clsim.paths.legs.legs import image_columns
 from clsim.paths.options import DirectSound, FamilyFinder, PathOptions, RoomFinder
 from clsim.paths.path_set import PathSet
+from clsim.paths.response import QUASI_STATIC
 from clsim.paths.search.bodies import BodySearch
 from clsim.paths.search.body_edge_ends import moving_end_paths
 from clsim.paths.search.body_edge_pairs import moving_edge_pair_paths, moving_gap_paths

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
 from clsim.numerics.convolution import band_taper, delayed_sums, ringing
-from clsim.paths.arrivals import QUASI_STATIC
 from clsim.paths.family import PairPaths
-from clsim.paths.response import SceneResponse
+from clsim.paths.response import QUASI_STATIC, SceneResponse
 
 _SKELETON = 3e-9  # relative to the strongest response, to which all are made of a few
 _ALLOWED = 1e-7  # the same, found between the frequencies at which they were chosen

@@ -26,10 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats
-from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.family import BODY, NONE, SPECULAR, Instant, Rows
 from clsim.paths.propagation import Medium, UniformAir
-from clsim.paths.response import SceneResponse
+from clsim.paths.response import Arrivals, Kinematics, SceneResponse
 from clsim.scene.scene import Scene
 
 Integers = NDArray[np.signedinteger[Any]]

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats, as_count, as_floats, as_number, read_only
 from clsim.errors import InputError, counted, old_names
-from clsim.paths.arrivals import Kinematics, slices_of
 from clsim.paths.channel import ChannelBand, ChannelPaths, ChannelTaps, DelayDoppler, channel_paths, channel_taps
 from clsim.paths.family import SPECULAR, TRANSMISSION, PairPaths, PathFamily
 from clsim.paths.path_table import PathTable, paths_page
+from clsim.paths.response import Kinematics, slices_of
 from clsim.pictures.view_page import html_table, inline_page
 from clsim.scene.scene import Scene, known_until
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, Rows
-from clsim.paths.arrivals import Arrivals, Kinematics
+from clsim.paths.response import Arrivals, Kinematics
 from clsim.scene.air import Air
 from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.motion.motion import Motion

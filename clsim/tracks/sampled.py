@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats
-from clsim.paths.arrivals import Arrivals
 from clsim.paths.family import PairPaths
-from clsim.paths.response import SceneResponse
+from clsim.paths.response import Arrivals, SceneResponse
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.ends import Receiver, Source

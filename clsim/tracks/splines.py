@@ -44,13 +44,11 @@ def checked_indices(name: str, values: Any, count: int) -> NDArray[np.int64]:
 
 def audible_intervals(audible: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
     """Return path, first and one past last sample of every interval in which a path is active."""
-    found = []
-    for p, row in enumerate(audible):
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))
-        for a, b in edges.reshape(-1, 2):
-            if b - a < 2:
-                raise InputError(f"delays[{p}][{a}]", "must be active for two samples or more, but is alone")
-            found.append((p, int(a), int(b)))
+    path, edge = np.nonzero(np.diff(np.pad(audible, ((0, 0), (1, 1)))))
+    found = list(zip(path[::2].tolist(), edge[::2].tolist(), edge[1::2].tolist(), strict=True))
+    for p, first, end in found:
+        if end - first < 2:
+            raise InputError(f"delays[{p}][{first}]", "must be active for two samples or more, but is alone")
     if not found:
         raise InputError("delays", "must hold at least one active path, but all are NaN")
     return found

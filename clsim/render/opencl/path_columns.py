@@ -23,9 +23,10 @@ from clsim.paths.family import Rows
 from clsim.paths.legs.events import BEYOND_LEG
 from clsim.paths.legs.mirrors import ROOM
 from clsim.paths.links import Links
+from clsim.paths.response import Walls
 from clsim.paths.vertices.edge_field import BOTH, least_angle
 from clsim.paths.vertices.scatterer_paths import PATIENCE
-from clsim.render.opencl.environment import Environment, Walls, end_table, field_tables, transition_table
+from clsim.render.opencl.environment import Environment, end_table, field_tables, transition_table
 from clsim.render.plan import Plan
 from clsim.tracks.basis import Basis
 from clsim.tracks.tracks import SceneTracks
