@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Complexes, Floats
+from clsim.arrays import Complexes, Floats, by_value
 from clsim.errors import InputError
 from clsim.paths.propagation import Medium, SpeedRange, medium_of
 from clsim.paths.response import RETARDED, Arrivals, Kinematics, SceneResponse, is_complex, to_transducer_frame
@@ -170,9 +170,7 @@ class PathFamily(ABC):
             found.update(name.encode())
             if isinstance(value, np.ndarray):
                 found.update(f"{value.dtype.str}{value.shape}".encode())
-                found.update(np.ascontiguousarray(value).tobytes())
-            else:
-                found.update(repr(value).encode())
+            found.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
         return found.hexdigest()
 
     @property
@@ -325,15 +323,11 @@ def ends_at(
     ends: Sequence[Source] | Sequence[Receiver] | Sequence[Scatterer], which: NDArray[np.int32], times: Instant
 ) -> Floats:
     """Return the positions (P, 3) of sources, receivers or scatterers (P,) at a time, or at times (P,), m."""
-    out = np.empty((len(which), 3))
-    new = np.ones(len(which), dtype=bool)  # neighbours that are the same are looked at once
-    new[1:] = which[1:] != which[:-1]
     instants = np.broadcast_to(np.asarray(times, dtype=np.float64), which.shape)
-    new[1:] |= instants[1:] != instants[:-1]
+    new = np.ones(len(which), dtype=bool)  # neighbours that are the same are looked at once
+    new[1:] = (which[1:] != which[:-1]) | (instants[1:] != instants[:-1])
     first = np.flatnonzero(new)
     at = np.empty((len(first), 3))
-    for end in np.unique(which[first]):
-        mine = which[first] == end
+    for end, mine in by_value(which[first]):
         at[mine] = ends[end].trajectory.position(instants[first[mine]])
-    out[:] = np.repeat(at, np.diff([*first.tolist(), len(which)]), axis=0)
-    return out
+    return np.repeat(at, np.diff([*first.tolist(), len(which)]), axis=0)

@@ -6,9 +6,10 @@ leg and one kind of vertex are a `Chain`: specular paths are one static leg, edg
 static leg, paths by a scatterer behind a body a moving leg, a scatterer and a moving leg.
 
 Whatever tables, engines and searches ask of a path is asked of `Chain`, once. What depends on the kind of leg is a
-method of `Links`: they solve the delay equation, the last leg first. What depends on the kind of vertex is a method of
-`Vertex`: where sound passes it (Fermat's principle), and what it makes of the sound. A new kind of vertex is a
-class with the members of `Vertex`, a search that finds its paths, and its names in ``chain.py``.
+method of `Links`: they solve the delay equation, the last leg first. A leg names its class as `links`. What depends on
+the kind of vertex is a method of `Vertex`: where sound passes it (Fermat's principle), and what it makes of the sound.
+A new kind of vertex is a class with the members of `Vertex`, a search that finds its paths, and its names in
+``chain.py``.
 
 Columns of legs and vertices have one row per path. A vertex with shadow boundaries (an edge) holds for each row the
 side of each boundary on which the row is; its field goes on smoothly beyond the row's ends, so that the terms of both
@@ -20,7 +21,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,25 +35,6 @@ from clsim.scene.scene import Scene
 Integers = NDArray[np.signedinteger[Any]]
 Columns = dict[str, Floats]
 Pair = tuple[Floats, Floats]  # of source and receiver
-
-
-class Leg(Protocol):
-    """Columns of P legs of one kind."""
-
-    kind: ClassVar[str]
-    moving: ClassVar[bool]  # whether surfaces may move
-    links: ClassVar[type[Links]]  # how paths of such legs are solved
-
-    def part(self, rows: Rows) -> Self:
-        """Take some of the legs."""
-
-    def in_scene(self, scene: Scene, surfaces: Integers) -> Self:
-        """Make the same legs, by surfaces (P, N) as in `Links.surfaces`, in a scene that differs a little."""
-
-    def named(self, name: str) -> Iterator[tuple[str, Any]]:
-        """Yield the columns of legs of a name, "image", "before" or "after" the vertex, as they are hashed."""
-
-    def __len__(self) -> int: ...
 
 
 class Vertex(Protocol):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import ByRow, Floats, firsts
 from clsim.paths.visibility import occlusion
+from clsim.paths.visibility.clearance import mirrored
 from clsim.paths.visibility.intervals import BoundingSpheres, joined
 from clsim.scene.room.walls import Walls
 
@@ -30,11 +31,8 @@ class Candidates:
     def joined(parts: list[Candidates]) -> Candidates:
         """Return the candidates of several parts of one order."""
         first = np.cumsum([0, *(len(p.sequence) for p in parts[:-1])])
-        return Candidates(
-            np.concatenate([p.sequence for p in parts]),
-            np.concatenate([p.row + f for p, f in zip(parts, first, strict=True)]),
-            np.concatenate([p.receiver for p in parts]),
-        )
+        row = np.concatenate([p.row + f for p, f in zip(parts, first, strict=True)])
+        return Candidates(np.concatenate([p.sequence for p in parts]), row, np.concatenate([p.receiver for p in parts]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,15 +80,10 @@ class _Beams(ByRow):
 
     @staticmethod
     def joined(parts: list[_Beams]) -> _Beams:
-        """Return the beams of several sets as one; rings of fewer corners repeat their last one."""
+        """Return the beams of several sets as one."""
         width = max(p.ring.shape[1] for p in parts)
-        fill = [np.minimum(np.arange(width), p.ring.shape[1] - 1) for p in parts]
-        return _Beams(
-            np.concatenate([p.centre for p in parts]),
-            np.concatenate([p.ring[:, at] for p, at in zip(parts, fill, strict=True)]),
-            np.concatenate([p.corners for p in parts]),
-            np.concatenate([p.sequence for p in parts]),
-        )
+        columns = [(p.centre, occlusion.widened(p.ring, width), p.corners, p.sequence) for p in parts]
+        return _Beams(*(np.concatenate(each) for each in zip(*columns, strict=True)))
 
 
 class BeamTree:
@@ -98,7 +91,7 @@ class BeamTree:
 
     def __init__(
         self, walls: Walls, centre: Floats, radius: float, receivers: BoundingSpheres | occlusion.Ears, limit: int,
-        sides: NDArray[np.int64] | None = None, lookup: occlusion.Lookup | None = None, hides: bool = True,
+        sides: NDArray[np.int64] | None = None, lookup: occlusion.WallLookup | None = None, hides: bool = True,
     ) -> None:  # fmt: skip
         self._walls, self._limit, self._hides = walls, limit, hides
         self._lookup = lookup or occlusion.WallLookup(walls)
@@ -154,7 +147,7 @@ class BeamTree:
         """Return the beams after one reflection."""
         ring, corners = self._open(self._centre, self._radius)
         wall = np.flatnonzero(corners).astype(np.int32)
-        centre = self._mirrored(np.broadcast_to(self._centre, (len(wall), 3)), wall)
+        centre = mirrored(self._walls, wall, np.broadcast_to(self._centre, (len(wall), 3)))
         return _Beams(centre, ring[wall], corners[wall], wall[:, None])
 
     def _listening(self, receivers: BoundingSpheres) -> occlusion.Ears:
@@ -183,7 +176,7 @@ class BeamTree:
         centres, none = np.broadcast_to(centre, (len(some), 3)), np.full(len(some), -1)
         views = occlusion.Views(centres, radius, centres[:, None], none, self._hulls[some], self._widths[some], some)
         left, corners[some] = occlusion.open_parts(self._walls, views, self._lookup.crossings)
-        ring = ring[:, np.minimum(np.arange(left.shape[1]), ring.shape[1] - 1)]
+        ring = occlusion.widened(ring, left.shape[1])
         ring[some] = left
         return ring, corners
 
@@ -191,11 +184,6 @@ class BeamTree:
         """Mask of balls about places (n, 3) that reach to the side of walls (n,) that paths can be on."""
         height = np.einsum("ni,ni->n", centre, self._walls.normal[wall]) - self._walls.offset[wall]
         return np.asarray(self._sides[wall] * height >= -radius)
-
-    def _mirrored(self, points: Floats, wall: NDArray[np.int32]) -> Floats:
-        normal, offset = self._walls.normal[wall], self._walls.offset[wall]
-        height = np.einsum("ni,ni->n", points, normal) - offset
-        return np.asarray(points - 2.0 * height[:, None] * normal)
 
     def _planes(self, beams: _Beams) -> Floats:
         normal = self._walls.normal[beams.sequence[:, -1]]
@@ -236,7 +224,7 @@ class BeamTree:
         left = np.flatnonzero(corners)
         next_wall = wall[left].astype(np.int32)
         sequence = np.concatenate([beams.sequence[beam[left]], next_wall[:, None]], axis=1)
-        return _Beams(self._mirrored(beams.centre[beam[left]], next_wall), ring[left], corners[left], sequence)
+        return _Beams(mirrored(walls, next_wall, beams.centre[beam[left]]), ring[left], corners[left], sequence)
 
 
 class TooManyBeamsError(Exception):

@@ -80,7 +80,7 @@ class MeshSearch:
             try:
                 here = query.during(begin, end)
                 search = partial(intervals.find_intervals, here) if device is None else DeviceSearch(here, device).find
-                parts.append(self._with_intervals(_InAir(here, air, search).find, finder, source.name, part))
+                parts.append(self._with_intervals(partial(_in_air, here, air, search), finder, source.name, part))
                 if isinstance(finder, ShotRays):
                     _report_missed(finder, parts[-1].walls, shoot)
             except TooManyBeamsError as error:
@@ -118,21 +118,16 @@ class MeshSearch:
         return FoundPaths.joined(parts)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _InAir:
-    """Answers a query for paths by walls without those that meet a closed shell from behind, see `in_air`."""
-
-    query: intervals.VisibilityQuery
-    air: NDArray[np.int64]  # (W,) see `air_sides`
-    search: Search  # of the query
-
-    def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> intervals.Intervals:
-        """Return the intervals in which sequences (n, N) of walls are paths to receivers (n,)."""
-        query, found = self.query, self.search(sequence, receiver)
-        walls, middle = sequence[found.path], 0.5 * (found.begin + found.end)
-        source, _, _ = query.ends_about(walls, receiver[found.path], middle, np.zeros(len(middle)))
-        kept = np.flatnonzero(in_air(query.walls, self.air, walls, source))
-        return intervals.Intervals(found.path[kept], found.begin[kept], found.end[kept], found.evaluations)
+def _in_air(
+    query: intervals.VisibilityQuery, air: NDArray[np.int64], search: Search, sequence: NDArray[np.int32],
+    receiver: NDArray[np.int64],
+) -> intervals.Intervals:  # fmt: skip
+    """Search a query without paths that meet a closed shell from behind, by the `air_sides` of walls, see `in_air`."""
+    found = search(sequence, receiver)
+    walls, middle = sequence[found.path], 0.5 * (found.begin + found.end)
+    source, _, _ = query.ends_about(walls, receiver[found.path], middle, np.zeros(len(middle)))
+    kept = np.flatnonzero(in_air(query.walls, air, walls, source))
+    return intervals.Intervals(found.path[kept], found.begin[kept], found.end[kept], found.evaluations)
 
 
 def visibility_query(
@@ -174,20 +169,18 @@ def mesh_paths(scene: Scene, room: MeshRoom, search: PathOptions) -> Chain:
         MeshSearch(order, search).paths(scene, room, source, partial(report, search.notify, i / count, (i + 1) / count))
         for i, source in enumerate(scene.sources)
     ]
-    walls = np.concatenate([f.walls for f in found])
+    every = FoundPaths.joined(found)
+    walls = every.walls
     if len(walls) > search.path_limit:
         raise InputError("path_limit", f"must hold all paths, but is {search.path_limit} and they are {len(walls)}")
     matrix, offset = image_isometries(room.walls, walls)
-    source = read_only(np.repeat(np.arange(count, dtype=np.int32), [len(f.order) for f in found]))
-    receiver, orders = (
-        read_only(np.concatenate([getattr(f, name) for f in found]).astype(np.int32)) for name in ("receiver", "order")
-    )
-    begin, end = (read_only(np.concatenate([getattr(f, name) for f in found])) for name in ("begin", "end"))
-    columns: Any = (read_only(x) for x in (walls, matrix, offset))
-    images = image_columns(*columns)
+    source = np.repeat(np.arange(count, dtype=np.int32), [len(f.order) for f in found])
+    always = source, every.receiver.astype(np.int32), every.order.astype(np.int32), every.begin, every.end
+    columns: Any = [read_only(column) for column in (*always, walls, matrix, offset)]
+    images = image_columns(*columns[5:])
     if scene.panels:
         images |= _met(found)
-    return Chain(scene, source, receiver, orders, begin, end, **images)
+    return Chain(scene, *columns[:5], **images)
 
 
 def _met(found: list[FoundPaths]) -> dict[str, Any]:
@@ -251,21 +244,16 @@ def sides_of_air(query: intervals.VisibilityQuery) -> NDArray[np.int64]:
 def _batches(candidates: Iterator[Candidates]) -> Iterator[tuple[Candidates, int]]:
     """Join candidates of the same order until they are worth a launch; yield also how many others wait."""
     waiting: dict[int, list[Candidates]] = {}
-    count = 0
     for found in candidates:
-        if not len(found.row):
-            continue
         order = found.sequence.shape[1]
-        waiting.setdefault(order, []).append(found)
-        count += len(found.row)
-        if sum(len(c.row) for c in waiting[order]) >= _BATCH:
+        if len(found.row):
+            waiting.setdefault(order, []).append(found)
+        if sum(len(c.row) for c in waiting.get(order, ())) >= _BATCH:
             batch = Candidates.joined(waiting.pop(order))
-            count -= len(batch.row)
-            yield batch, count
-    for some in waiting.values():
-        batch = Candidates.joined(some)
-        count -= len(batch.row)
-        yield batch, count
+            yield batch, sum(len(c.row) for some in waiting.values() for c in some)
+    while waiting:
+        some = waiting.pop(min(waiting))
+        yield Candidates.joined(some), sum(len(c.row) for others in waiting.values() for c in others)
 
 
 def _last(source: Motion, longest: float, receiver: Motion) -> float:
