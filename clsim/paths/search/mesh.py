@@ -94,7 +94,9 @@ class MeshSearch:
         """Return why rays are shot, because of a tree that would be far too large or as asked; else nothing."""
         if self.search.finder == "auto":
             centre, radius = ends.sphere(0)
-            tree = plant(centre, min(radius, _SMALLEST_CELL * size), intervals.BoundingSpheres.none())
+            tree = plant(
+                centre, min(radius, _SMALLEST_CELL * size), intervals.BoundingSpheres(np.empty((0, 3)), np.empty(0))
+            )
             beams = tree.estimate(self.max_order)
             return "" if beams <= BEAM_LIMIT else f"a beam tree would need about {beams:.1g} beams, so rays are shot"
         return "" if self.search.finder == "beam-tree" else "rays are shot, as asked"

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, read_only
+from clsim.arrays import Floats, firsts, read_only
 from clsim.errors import InputError
 from clsim.paths.cubics import KNOT_RATES, cubics_between
 from clsim.paths.propagation import Medium, UniformAir, contract_delay
@@ -37,11 +37,6 @@ class BoundingSpheres:
 
     centre: Floats
     radius: Floats
-
-    @staticmethod
-    def none() -> BoundingSpheres:
-        """Return none."""
-        return BoundingSpheres(np.empty((0, 3)), np.empty(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +103,7 @@ class TrajectoryTables:
     def delay(self, mirrored: Floats, receiver_at: Floats, time: Floats, medium: Medium) -> Floats:
         """Return the delays (n,) from the source to places as it sees them and as they are, (n, 3) m each; s."""
         source = np.zeros(len(time), dtype=np.int64)
-        return contract_delay(medium, lambda emitted: self.position(source, emitted), mirrored, receiver_at, time)
+        return contract_delay(medium, partial(self.position, source), mirrored, receiver_at, time)
 
 
 def with_points(tables: TrajectoryTables, row: int, places: Floats) -> TrajectoryTables:
@@ -132,15 +127,8 @@ def trajectory_tables(
     tables = [_knots("sources.trajectory", source)]
     tables += [_knots(f"receivers[{i}].trajectory", motion) for i, motion in enumerate(receivers)]
     levels = [_speeds(knots, rate) for knots, _, rate in tables]
-    counts = np.array([len(knots) for knots, _, _ in tables])
-    places = np.stack(
-        [
-            np.concatenate([[0], np.cumsum(counts)[:-1]]),
-            np.concatenate([[0], np.cumsum([len(level) for level in levels])[:-1]]),
-            counts,
-        ],
-        axis=1,
-    ).astype(np.int64)
+    counts, sizes = (np.array([len(each) for each in some]) for some in ([knots for knots, _, _ in tables], levels))
+    places = np.column_stack([firsts(counts)[:-1], firsts(sizes)[:-1], counts])
     scales = np.array([[first, rate, level.max()] for (_, first, rate), level in zip(tables, levels, strict=True)])
     knots = np.concatenate([knots for knots, _, _ in tables])
     planes = np.zeros((len(tables), 4))
@@ -272,13 +260,10 @@ def find_intervals(
     query: VisibilityQuery, sequence: NDArray[np.int32], receiver: NDArray[np.int64],
     evaluation: Evaluation | None = None, spans: tuple[Floats, Floats] | None = None, parts: int = 1,
 ) -> Intervals:  # fmt: skip
-    """Return the intervals in which paths are valid.
+    """Return the intervals in which paths by sequences (n, N) of walls to receivers (n,) are valid.
 
-    Shapes: sequence (n, N); receiver (n,).
-    evaluation: what says whether other paths than those by walls are valid, and how far their ends may move; as
-    `evaluate` of the query.
-    spans: times from and up to which each path is looked at, s; those of its receiver when left out.
-    parts: into how many what is left of an interval is cut at most, see `divided`.
+    An `evaluation` takes the place of `evaluate` of the query for other paths. They are evaluated over `spans` of time,
+    s, or over those of their receivers. What is left of an interval is cut into so many `parts` at most, see `divided`.
     """
     evaluate_at = evaluation or partial(evaluate, query)
     first, last = spans or (query.first[receiver], query.last[receiver])
@@ -316,7 +301,7 @@ def find_intervals(
         real = rest[2] > rest[1]
         if real.any():
             stack.append(divided(rest[0][real], rest[1][real], rest[2][real], 1, parts))
-    paths, begins, ends = (np.concatenate([f[i] for f in found]) for i in range(3))
+    paths, begins, ends = map(np.concatenate, zip(*found, strict=True))
     return merged(paths, begins, ends, evaluations)
 
 

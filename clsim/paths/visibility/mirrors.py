@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Bools, Floats, Rows
+from clsim.arrays import Bools, Floats, Rows, by_value
 from clsim.paths.family import PathFamily
 from clsim.paths.legs.events import Events, find_events
 from clsim.paths.legs.legs import path_vertices
@@ -46,8 +46,7 @@ class MirrorEvaluation:
         """Mask of valid paths (n,), and the times for which that is certain and assumed, s."""
         there, sure, taken = np.zeros(len(rows), dtype=bool), np.zeros(len(rows)), np.zeros(len(rows))
         order = np.sum(self.surfaces[rows] >= 0, axis=1)
-        for count in np.unique(order).tolist():
-            some = np.flatnonzero(order == count)
+        for count, some in by_value(order):
             walls = self.surfaces[rows[some], :count]
             ears = self.receiver[rows[some]]
             there[some], sure[some], taken[some] = self._evaluate(walls, ears, times[some], half[some])
@@ -68,7 +67,7 @@ class MirrorEvaluation:
         holds, apart, far = self._on_faces(walls, line.place, line.now[:, None] + line.time)
         met &= np.all(holds, axis=1)
         change = drift(self.obstacles.mirrors, walls, line, pace, self.medium, met)
-        slide = self._slides(walls, (change.place, change.dilation), (pace.speed, pace.turn, pace.half), far)
+        slide = self._slides(walls, change, pace, far)
         sure = np.zeros(len(walls))
         gone = np.flatnonzero(~met)
         not_met = np.minimum(absent(line, change, holds, lasts(apart, slide)), change.holds)
@@ -80,52 +79,38 @@ class MirrorEvaluation:
             kept = np.minimum(lasts(apart, slide)[some].min(axis=1, initial=FAR), lasts(lengths, closing).min(axis=1))
             kept = np.minimum(kept, np.minimum(change.holds, change.steady.min(axis=1, initial=FAR))[some])
             there[some], sure[some] = self._free(walls[some], line, change, pace, some, kept)
-        certain = sure
-        jumps = np.any((pace.jolt > 0.0) | (pace.twist > 0.0), axis=1)
-        certain = np.where(jumps & (certain < half), 0.0, certain)
+        certain = pace.unless_jumps(sure)
         most = GRAZE_TIME if walls.shape[1] < 2 else FAR  # many images of higher orders are that slanted
         loose = np.minimum(lasts(np.full(len(walls), self.step), pace.all_lengths), most)
         fastest = np.minimum(change.place.max(axis=1), FAR) + pace.all_lengths
         taken = np.where((change.holds > 0.0) | (certain > 0.0), taken_for(certain, fastest), loose)
         gone = gone[(taken[gone] > 0.0) & np.any(pace.turn[gone] > 0.0, axis=1)]
-        aside, brief = self._averted(walls[gone], ears[gone], times[gone], half[gone])
-        certain[gone], taken[gone] = np.maximum(certain[gone], aside), np.where(brief, 0.0, taken[gone])
-        return there, certain, taken
-
-    def _averted(self, walls: NDArray[np.int32], ears: Rows, times: Floats, half: Floats) -> tuple[Floats, Bools]:
-        """Return for how long faces that turn are surely so turned that no point of them reflects, (n,) s."""
 
         def pace_of(p: Rows, late: Floats) -> Pace:
-            return self.rates.over(ears[p], times[p] - EARLIER * (half[p] + late), times[p], half[p])
+            n = gone[p]
+            return self.rates.over(ears[n], times[n] - EARLIER * (half[n] + late), times[n], half[n])
 
-        return averted(
-            self.obstacles.mirrors, walls, (self.source, _Ears(self.receivers, ears)), times, pace_of, self.medium
-        )
+        ends = self.source, _Ears(self.receivers, ears[gone])
+        aside, brief = averted(self.obstacles.mirrors, walls[gone], ends, times[gone], pace_of, self.medium)
+        certain[gone], taken[gone] = np.maximum(certain[gone], aside), np.where(brief, 0.0, taken[gone])
+        return there, certain, taken
 
     def _on_faces(self, walls: NDArray[np.int32], place: Floats, when: Floats) -> tuple[Bools, Floats, Floats]:
         """Mask of hits (n, N) on their faces, and distances from borders and from the middles of bodies, m."""
         holds, apart, far = np.zeros(walls.shape, dtype=bool), np.zeros(walls.shape), np.zeros(walls.shape)
         for k in range(walls.shape[1]):
-            for surface in np.unique(walls[:, k]).tolist():
-                p = np.flatnonzero(walls[:, k] == surface)
+            for surface, p in by_value(walls[:, k]):
                 hits = place[p, k + 1], when[p, k + 1]
                 holds[p, k], apart[p, k], far[p, k] = self.obstacles.border(surface, *hits)
         return holds, apart, far
 
-    def _slides(
-        self,
-        walls: NDArray[np.int32],
-        moved: tuple[Floats, Floats],
-        turning: tuple[Floats, Floats, Floats],
-        far: Floats,
-    ) -> Floats:
+    def _slides(self, walls: NDArray[np.int32], change: Drift, pace: Pace, far: Floats) -> Floats:
         """Speeds of hits (n, N) in the axes of their faces, m/s."""
         body = self.obstacles.mirrors.owner[walls]
         rows = np.arange(len(walls))[:, None]
-        slide, (fast, turns, halves) = moved[0][:, 1:-1], turning
-        speed, turn = (x[rows, np.maximum(body, 0)] for x in (fast, turns))
-        late, half = moved[1][:, 1:-1], halves[:, None]
-        away = far + half * (slide + late * speed)
+        speed, turn = (x[rows, np.maximum(body, 0)] for x in (pace.speed, pace.turn))
+        slide, late = change.place[:, 1:-1], change.dilation[:, 1:-1]
+        away = far + pace.half[:, None] * (slide + late * speed)
         return np.asarray(np.where(body == ROOM, slide, slide + late * (speed + turn * away)))
 
     def _free(
@@ -156,7 +141,7 @@ class _Ears:
 
     def __init__(self, motions: Sequence[Motion], which: Rows) -> None:
         self._motions, self._which = motions, which
-        self._rows = [(ear, np.flatnonzero(which == ear)) for ear in np.unique(which).tolist()]
+        self._rows = list(by_value(which))
 
     def part(self, rows: Rows) -> _Ears:
         return _Ears(self._motions, self._which[rows])
@@ -282,8 +267,7 @@ class PastBodies:
                 blocked, certain = hidden_by(thing, legs, none, none, (body, changes))
                 free[some] = ~blocked
                 sure[some] = np.where(blocked, certain, np.minimum(sure[some], certain))
-        jumps = np.any((pace.jolt > 0.0) | (pace.twist > 0.0), axis=1)
-        sure = np.where(jumps & (sure < pace.half), 0.0, sure)
+        sure = pace.unless_jumps(sure)
         return free, sure, taken_for(sure, np.minimum(np.nanmax(speed, axis=1), FAR) + pace.all_lengths)
 
 
