@@ -317,8 +317,9 @@ class Chain(PathFamily):
         links, level = self.links(rows), None if self.level is None else self.level[rows]
         return replace(self, **columns, legs=links.legs, vertex=links.vertex, level=level)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check(self) -> None:
+        """Refuse columns, legs and vertices with another number of rows than paths."""
+        super().check()
         for part in (*self.legs, self.vertex, self.level):
             if part is not None and len(part) != len(self):
                 name = type(part).__name__

@@ -210,7 +210,8 @@ class PathFamily(ABC):
     def __len__(self) -> int:
         return len(self.source)
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Refuse columns of other shapes than those of the paths; a `PathSet` asks it of each of its families."""
         for name in (*(f.name for f in fields(PathFamily) if f.name != "scene"), *self.columns):
             if (rows := len(getattr(self, name))) != len(self.source):
                 raise InputError(name, f"must have one row per path, {len(self.source)}, but has {rows}")

@@ -79,6 +79,7 @@ class PathSet:
         for i, family in enumerate(self.families):
             if family.scene is not self.scene:
                 raise InputError(f"families[{i}]", "must hold paths of the same scene, but is of another one")
+            family.check()
 
     def __len__(self) -> int:
         return sum(map(len, self.families))

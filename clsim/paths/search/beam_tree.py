@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from clsim.arrays import ByRow, Floats, firsts
 from clsim.paths.visibility import occlusion
-from clsim.paths.visibility.clearance import mirrored
 from clsim.paths.visibility.intervals import BoundingSpheres, joined
 from clsim.scene.room.walls import Walls
 
@@ -147,7 +146,7 @@ class BeamTree:
         """Return the beams after one reflection."""
         ring, corners = self._open(self._centre, self._radius)
         wall = np.flatnonzero(corners).astype(np.int32)
-        centre = mirrored(self._walls, wall, np.broadcast_to(self._centre, (len(wall), 3)))
+        centre = self._mirrored(np.broadcast_to(self._centre, (len(wall), 3)), wall)
         return _Beams(centre, ring[wall], corners[wall], wall[:, None])
 
     def _listening(self, receivers: BoundingSpheres) -> occlusion.Ears:
@@ -184,6 +183,11 @@ class BeamTree:
         """Mask of balls about places (n, 3) that reach to the side of walls (n,) that paths can be on."""
         height = np.einsum("ni,ni->n", centre, self._walls.normal[wall]) - self._walls.offset[wall]
         return np.asarray(self._sides[wall] * height >= -radius)
+
+    def _mirrored(self, points: Floats, wall: NDArray[np.int32]) -> Floats:
+        normal = self._walls.normal[wall]
+        height = np.einsum("ni,ni->n", points, normal) - self._walls.offset[wall]
+        return np.asarray(points - 2.0 * height[:, None] * normal)
 
     def _planes(self, beams: _Beams) -> Floats:
         normal = self._walls.normal[beams.sequence[:, -1]]
@@ -224,7 +228,7 @@ class BeamTree:
         left = np.flatnonzero(corners)
         next_wall = wall[left].astype(np.int32)
         sequence = np.concatenate([beams.sequence[beam[left]], next_wall[:, None]], axis=1)
-        return _Beams(mirrored(walls, next_wall, beams.centre[beam[left]]), ring[left], corners[left], sequence)
+        return _Beams(self._mirrored(beams.centre[beam[left]], next_wall), ring[left], corners[left], sequence)
 
 
 class TooManyBeamsError(Exception):

@@ -25,7 +25,7 @@ from clsim.paths.search.mesh import BEAM_LIMIT, report, visibility_query
 from clsim.paths.visibility.intervals import PERTURBATIONS, BoundingSpheres, joined
 from clsim.paths.visibility.mirrors import MirrorEvaluation, PastBodies
 from clsim.paths.visibility.obstacles import Obstacles
-from clsim.paths.visibility.occlusion import air_sides
+from clsim.paths.visibility.occlusion import WallLookup
 from clsim.paths.visibility.rates import BodyRates, EndRates
 from clsim.paths.visibility.subdivision import certified, evaluations, sampled
 from clsim.scene.ends import Receiver, Source
@@ -265,7 +265,8 @@ class BodySearch:
         ears = ends.receiver_spheres(begin, end)
         start = ends.position(np.zeros(1, dtype=np.int64), np.array([middle]))[0] + PERTURBATIONS[0]
         ears = BoundingSpheres(ears.centre, ears.radius + slack)
-        tree = BeamTree(walls, centre, radius + slack, ears, BEAM_LIMIT, air_sides(walls, start), hides=False)
+        air = WallLookup(walls).air_sides(start)
+        tree = BeamTree(walls, centre, radius + slack, ears, BEAM_LIMIT, air, hides=False)
         first, width = len(self.scene.room.faces), max(self.order, 1)
         parts = [(np.empty((0, width), dtype=np.int32), np.empty(0, dtype=np.int64))]
         for batch in tree.candidates(self.order):

@@ -23,7 +23,8 @@ from clsim.paths.search.beam_tree import BeamTree, Candidates, FoundPaths, TooMa
 from clsim.paths.search.ray_shooting import THROUGH, ShotRays, divided, see_through
 from clsim.paths.visibility import intervals
 from clsim.paths.visibility.device import DeviceLookup, DeviceSearch
-from clsim.paths.visibility.occlusion import WallLookup, air_sides, in_air
+from clsim.paths.visibility.intervals import Search
+from clsim.paths.visibility.occlusion import WallLookup
 from clsim.scene.ends import Source
 from clsim.scene.flush import find_mount
 from clsim.scene.motion.motion import Motion
@@ -32,8 +33,6 @@ from clsim.scene.room.walls import Walls
 from clsim.scene.scene import Scene
 
 Progress = Callable[[float], None]
-Search = Callable[[NDArray[np.int32], NDArray[np.int64]], intervals.Intervals]
-
 LARGEST_MESH_ORDER = 20
 
 BEAM_LIMIT = 5_000_000  # of one tree
@@ -80,7 +79,7 @@ class MeshSearch:
             try:
                 here = query.during(begin, end)
                 search = partial(intervals.find_intervals, here) if device is None else DeviceSearch(here, device).find
-                parts.append(self._with_intervals(partial(_in_air, here, air, search), finder, source.name, part))
+                parts.append(self._with_intervals(partial(here.found_in_air, air, search), finder, source.name, part))
                 if isinstance(finder, ShotRays):
                     _report_missed(finder, parts[-1].walls, shoot)
             except TooManyBeamsError as error:
@@ -118,18 +117,6 @@ class MeshSearch:
             done += len(receiver)
             progress(finder.share * done / (done + waiting))
         return FoundPaths.joined(parts)
-
-
-def _in_air(
-    query: intervals.VisibilityQuery, air: NDArray[np.int64], search: Search, sequence: NDArray[np.int32],
-    receiver: NDArray[np.int64],
-) -> intervals.Intervals:  # fmt: skip
-    """Search a query without paths that meet a closed shell from behind, by the `air_sides` of walls, see `in_air`."""
-    found = search(sequence, receiver)
-    walls, middle = sequence[found.path], 0.5 * (found.begin + found.end)
-    source, _, _ = query.ends_about(walls, receiver[found.path], middle, np.zeros(len(middle)))
-    kept = np.flatnonzero(in_air(query.walls, air, walls, source))
-    return intervals.Intervals(found.path[kept], found.begin[kept], found.end[kept], found.evaluations)
 
 
 def visibility_query(
@@ -171,13 +158,13 @@ def mesh_paths(scene: Scene, room: MeshRoom, search: PathOptions) -> Chain:
         MeshSearch(order, search).paths(scene, room, source, partial(report, search.notify, i / count, (i + 1) / count))
         for i, source in enumerate(scene.sources)
     ]
-    every = FoundPaths.joined(found)
-    walls = every.walls
+    names = ("receiver", "order", "walls", "begin", "end")
+    receiver, orders, walls, begin, end = (np.concatenate([getattr(f, name) for f in found]) for name in names)
     if len(walls) > search.path_limit:
         raise InputError("path_limit", f"must hold all paths, but is {search.path_limit} and they are {len(walls)}")
     matrix, offset = image_isometries(room.walls, walls)
     source = np.repeat(np.arange(count, dtype=np.int32), [len(f.order) for f in found])
-    always = source, every.receiver.astype(np.int32), every.order.astype(np.int32), every.begin, every.end
+    always = source, receiver.astype(np.int32), orders.astype(np.int32), begin, end
     columns: Any = [read_only(column) for column in (*always, walls, matrix, offset)]
     images = image_columns(*columns[5:])
     if scene.panels:
@@ -237,10 +224,10 @@ def _report_missed(rays: ShotRays, walls: NDArray[np.int32], reason: str) -> Non
 
 
 def sides_of_air(query: intervals.VisibilityQuery) -> NDArray[np.int64]:
-    """Sides (W,) of walls on which paths from a query's source can be; see `air_sides`."""
+    """Sides (W,) of walls on which paths from a query's source can be; see `WallLookup.air_sides`."""
     ends, source = query.trajectory_tables, np.zeros(1, dtype=np.int64)
     start = ends.lifted(source, ends.position(source, np.zeros(1)) + intervals.PERTURBATIONS[0])[0]
-    return air_sides(query.walls, start)
+    return WallLookup(query.walls).air_sides(start)
 
 
 def _batches(candidates: Iterator[Candidates]) -> Iterator[tuple[Candidates, int]]:

@@ -131,6 +131,14 @@ class Drift:
     steady: Floats  # (n, N) for how long those of shares and of places on mirrors are bounds, s, as the rise shrinks
     holds: Floats  # (n,) for how long these are bounds, s; 0 where they are none
 
+    def slides(self, body: NDArray[np.int64], pace: Pace, far: Floats) -> Floats:
+        """Bound the speeds of places on mirrors of bodies (n, N), so far from their middles, in their axes, m/s."""
+        rows = np.arange(len(body))[:, None]
+        speed, turn = (x[rows, np.maximum(body, 0)] for x in (pace.speed, pace.turn))
+        slide, late = self.place[:, 1:-1], self.dilation[:, 1:-1]
+        away = far + pace.half[:, None] * (slide + late * speed)
+        return np.asarray(np.where(body == ROOM, slide, slide + late * (speed + turn * away)))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Mirrored:

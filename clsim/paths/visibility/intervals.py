@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, firsts, read_only
+from clsim.arrays import Floats, Ints, firsts, read_only
 from clsim.errors import InputError
 from clsim.paths.cubics import KNOT_RATES, cubics_between
 from clsim.paths.propagation import Medium, UniformAir, contract_delay
 from clsim.paths.visibility.clearance import Reach, mirrored, path_status
+from clsim.paths.visibility.occlusion import in_air
 from clsim.scene.motion.motion import Motion
 from clsim.scene.room.faces import Mount
 from clsim.scene.room.walls import Walls
@@ -190,6 +191,7 @@ def _speeds(knots: Floats, rate: float) -> Floats:
     return np.concatenate(levels)
 
 
+Search = Callable[[NDArray[np.int32], NDArray[np.int64]], "Intervals"]
 Evaluation = Callable[[NDArray[np.int32], NDArray[np.int64], Floats, Floats], tuple[NDArray[np.bool_], Floats, Floats]]
 
 SMALLEST_MOVE = 1e-9  # of the room's size; ends that move less stand still
@@ -244,6 +246,16 @@ class VisibilityQuery:
         )  # fmt: skip
         origin = ends.lifted(source, ends.position(source, emission_time) + PERTURBATIONS[0])
         return origin, ends.lifted(row, at + PERTURBATIONS[1]), reach
+
+    def found_in_air(
+        self, air: Ints, search: Search, sequence: NDArray[np.int32], receiver: NDArray[np.int64]
+    ) -> Intervals:
+        """Search without paths that meet a closed shell from behind, by the sides of walls in the air, see `in_air`."""
+        found = search(sequence, receiver)
+        walls, middle = sequence[found.path], 0.5 * (found.begin + found.end)
+        source, _, _ = self.ends_about(walls, receiver[found.path], middle, np.zeros(len(middle)))
+        kept = np.flatnonzero(in_air(self.walls, air, walls, source))
+        return Intervals(found.path[kept], found.begin[kept], found.end[kept], found.evaluations)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

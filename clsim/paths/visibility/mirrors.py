@@ -13,7 +13,6 @@ from clsim.arrays import Bools, Floats, Rows, by_value
 from clsim.paths.family import PathFamily
 from clsim.paths.legs.events import Events, find_events
 from clsim.paths.legs.legs import path_vertices
-from clsim.paths.legs.mirrors import ROOM
 from clsim.paths.propagation import UniformAir, mean_medium_of
 from clsim.paths.visibility.certainty import EARLIER, Drift, Line, absent, averted, behind, drift, straightened
 from clsim.paths.visibility.obstacles import LegDrift, Legs, Obstacles, hidden_by
@@ -67,7 +66,7 @@ class MirrorEvaluation:
         holds, apart, far = self._on_faces(walls, line.place, line.now[:, None] + line.time)
         met &= np.all(holds, axis=1)
         change = drift(self.obstacles.mirrors, walls, line, pace, self.medium, met)
-        slide = self._slides(walls, change, pace, far)
+        slide = change.slides(self.obstacles.mirrors.owner[walls], pace, far)
         sure = np.zeros(len(walls))
         gone = np.flatnonzero(~met)
         not_met = np.minimum(absent(line, change, holds, lasts(apart, slide)), change.holds)
@@ -103,15 +102,6 @@ class MirrorEvaluation:
                 hits = place[p, k + 1], when[p, k + 1]
                 holds[p, k], apart[p, k], far[p, k] = self.obstacles.border(surface, *hits)
         return holds, apart, far
-
-    def _slides(self, walls: NDArray[np.int32], change: Drift, pace: Pace, far: Floats) -> Floats:
-        """Speeds of hits (n, N) in the axes of their faces, m/s."""
-        body = self.obstacles.mirrors.owner[walls]
-        rows = np.arange(len(walls))[:, None]
-        speed, turn = (x[rows, np.maximum(body, 0)] for x in (pace.speed, pace.turn))
-        slide, late = change.place[:, 1:-1], change.dilation[:, 1:-1]
-        away = far + pace.half[:, None] * (slide + late * speed)
-        return np.asarray(np.where(body == ROOM, slide, slide + late * (speed + turn * away)))
 
     def _free(
         self, walls: NDArray[np.int32], line: Line, change: Drift, pace: Pace, some: Rows, kept: Floats

@@ -138,15 +138,30 @@ class Ears:
     first_plane: Ints
 
 
+@dataclass(eq=False)
 class WallLookup:
-    """Looks up the walls of a room in NumPy."""
+    """Looks up walls in NumPy."""
 
-    def __init__(self, walls: Walls) -> None:
-        self.walls = walls
+    walls: Walls  # of the room
 
     def crossings(self, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
-        """Crossings (m,) of segments (n, 3) and walls strictly between their endpoints; see `crossed_pieces`."""
-        return crossed_pieces(self.walls, start, stop)
+        """Crossings (m,) of segments (n, 3) and walls strictly between their endpoints: segment, wall and its piece."""
+        walls = self.walls
+        tolerance = INSIDE * walls.size
+        row, wall = walls.tree.meeting_segments(start, stop, tolerance)
+        normal, offset = walls.normal[wall], walls.offset[wall]
+        before, behind = (np.einsum("ni,ni->n", x[row], normal) - offset for x in (start, stop))
+        crosses = before * behind < 0.0
+        share = before / np.where(crosses, before - behind, 1.0)
+        some = np.flatnonzero(crosses & (share > INNER) & (share < 1.0 - INNER))
+        row, wall, share = row[some], wall[some], share[some]
+        point = start[row] + share[:, None] * (stop[row] - start[row])
+        of, piece = spread(walls.first_piece, wall)
+        line_of, line = spread(walls.first_line, piece)
+        height = np.einsum("ni,ni->n", walls.line[line, :3], point[of[line_of]]) - walls.line[line, 3]
+        holds = np.ones(len(piece), dtype=bool)
+        holds[line_of[height < -tolerance]] = False
+        return row[of[holds]], wall[of[holds]], piece[holds]
 
     def meetings(self, beams: Beams, sides: Ints, ears: Ears | None) -> tuple[Ints, Ints]:
         """Return pairs (m,) of a beam and a wall off its last plane; with `ears` those that a receiver sees."""
@@ -159,6 +174,21 @@ class WallLookup:
             return beam, wall
         leads = self._leads(beams, beam, wall, ears)
         return beam[leads], wall[leads]
+
+    def air_sides(self, place: Floats) -> Ints:
+        """Return the sides of walls on which a path from a place (3,) can be: 1 that of the normal, -1 the other, 0 both.
+
+        A path crosses no wall, so that it stays outside of a closed shell, or within it, as its source does: rays from
+        there cross the shell an even number of times, or an odd one.
+        """
+        walls = self.walls
+        stop = place + _RAYS * (walls.size + np.linalg.norm(walls.centre - place, axis=1).max())
+        ray, wall, _ = self.crossings(np.broadcast_to(place, stop.shape), stop)
+        ray, wall = np.unique(np.stack([ray, wall]), axis=1)  # pieces of a wall can share a point
+        crossings = np.zeros((len(_RAYS), int(walls.shell.max()) + 1), dtype=np.int64)
+        np.add.at(crossings, (ray, walls.shell[wall]), 1)
+        inside = np.sum(crossings % 2, axis=0) > len(_RAYS) // 2
+        return np.asarray(np.where(inside[walls.shell], -walls.outward, walls.outward))
 
     def _leads(self, beams: Beams, beam: Ints, wall: Ints, ears: Ears) -> NDArray[np.bool_]:
         """Mask of beams that may reach a receiver by a wall."""
@@ -181,40 +211,6 @@ class WallLookup:
             leads[of[np.flatnonzero(~inside)]] = False
             found[pair[row[leads]]] = True
         return found
-
-
-def crossed_pieces(walls: Walls, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
-    """Crossings (m,) of segments between places (n, 3), m, and walls strictly between their endpoints."""
-    tolerance = INSIDE * walls.size
-    row, wall = walls.tree.meeting_segments(start, stop, tolerance)
-    normal, offset = walls.normal[wall], walls.offset[wall]
-    before, behind = (np.einsum("ni,ni->n", x[row], normal) - offset for x in (start, stop))
-    crosses = before * behind < 0.0
-    share = before / np.where(crosses, before - behind, 1.0)
-    some = np.flatnonzero(crosses & (share > INNER) & (share < 1.0 - INNER))
-    row, wall, share = row[some], wall[some], share[some]
-    point = start[row] + share[:, None] * (stop[row] - start[row])
-    of, piece = spread(walls.first_piece, wall)
-    line_of, line = spread(walls.first_line, piece)
-    height = np.einsum("ni,ni->n", walls.line[line, :3], point[of[line_of]]) - walls.line[line, 3]
-    holds = np.ones(len(piece), dtype=bool)
-    holds[line_of[height < -tolerance]] = False
-    return row[of[holds]], wall[of[holds]], piece[holds]
-
-
-def air_sides(walls: Walls, place: Floats) -> Ints:
-    """Return on which side of each wall a path from a place (3,) can be: 1 that of its normal, -1 the other, 0 both.
-
-    A path crosses no wall, so that it stays outside of a closed shell, or within it, as its source does: rays from
-    there cross the shell an even number of times, or an odd one.
-    """
-    stop = place + _RAYS * (walls.size + np.linalg.norm(walls.centre - place, axis=1).max())
-    ray, wall, _ = crossed_pieces(walls, np.broadcast_to(place, stop.shape), stop)
-    ray, wall = np.unique(np.stack([ray, wall]), axis=1)  # pieces of a wall can share a point
-    crossings = np.zeros((len(_RAYS), int(walls.shell.max()) + 1), dtype=np.int64)
-    np.add.at(crossings, (ray, walls.shell[wall]), 1)
-    inside = np.sum(crossings % 2, axis=0) > len(_RAYS) // 2
-    return np.asarray(np.where(inside[walls.shell], -walls.outward, walls.outward))
 
 
 def in_air(walls: Walls, sides: Ints, sequence: NDArray[np.int32], end: Floats) -> Bools:

@@ -100,15 +100,19 @@ class Rendered:
         return float(10 ** (self.plan.motion_error_db / 20) * speed / (2.0 * math.pi * swiftest))
 
 
+@dataclass(eq=False)
 class StaticColumns:
     """Columns of paths by one static leg: images."""
+
+    _of: Rendered
 
     leg, vertex, mirrors = STATIC, NONE, 0
     state_numbers = 0  # of the state that goes with a delay, see kernels/nodes/path.h
     known_at = 1  # frequencies at which the strength of an outline's points is known
 
-    def __init__(self, of: Rendered) -> None:
-        self._of, self._family = of, of.family
+    @property
+    def _family(self) -> Any:
+        return self._of.family
 
     @property
     def constants(self) -> dict[str, int]:
