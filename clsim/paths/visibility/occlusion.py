@@ -176,7 +176,7 @@ class WallLookup:
         return beam[leads], wall[leads]
 
     def air_sides(self, place: Floats) -> Ints:
-        """Return the sides of walls on which paths from a place (3,) can be: 1 that of the normal, -1 the other, 0 both.
+        """Return the sides of walls on which paths from a place can be: 1 that of the normal, -1 the other, 0 both.
 
         A path crosses no wall, so that it stays outside of a closed shell, or within it, as its source does: rays from
         there cross the shell an even number of times, or an odd one.
