@@ -1,4 +1,4 @@
-"""Paths as chains of legs and vertices: the one family of all that clsim finds, see ``links.py``.
+"""Paths as chains of legs and vertices: the one family of all that clsim finds, see ``family.py``.
 
 The support matrix tells which paths are possible in which medium, and whether a device or the host makes their nodes.
 Refusals, the choice of device or host, and the table of ``docs/limitations.md`` are made from it.
@@ -15,8 +15,17 @@ import numpy as np
 
 from clsim.arrays import Complexes, Floats, read_only
 from clsim.errors import InputError
-from clsim.paths.family import DIFFRACTION, TRANSMISSION, Instant, PathFamily, PeakSpeeds, Rows, ends_at
-from clsim.paths.links import Integers, Links
+from clsim.paths.family import (
+    DIFFRACTION,
+    TRANSMISSION,
+    Instant,
+    Integers,
+    Links,
+    PathFamily,
+    PeakSpeeds,
+    Rows,
+    ends_at,
+)
 from clsim.paths.response import RETARDED, Arrivals, Kinematics, SceneResponse
 from clsim.scene.air import Air
 from clsim.scene.scene import Scene

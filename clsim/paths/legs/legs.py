@@ -12,10 +12,21 @@ from numpy.typing import NDArray
 
 from clsim.arrays import ByRow, Floats, read_only
 from clsim.paths.chain import Chain
-from clsim.paths.family import DIFFRACTION, NONE, SPECULAR, TRANSMISSION, Instant
+from clsim.paths.family import (
+    DIFFRACTION,
+    NONE,
+    SPECULAR,
+    TRANSMISSION,
+    Columns,
+    Instant,
+    Integers,
+    Links,
+    Vertex,
+    in_chunks,
+    met_in_order,
+)
 from clsim.paths.legs.events import find_events
 from clsim.paths.legs.mirrors import Mirrors
-from clsim.paths.links import Columns, Integers, Links, Vertex, in_chunks, met_in_order
 from clsim.paths.propagation import Folds, UniformAir, arrivals_by, straight
 from clsim.paths.response import Arrivals, Kinematics
 from clsim.scene.scene import Scene

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from clsim.acoustics import diffraction
 from clsim.acoustics.edge_gap import EdgeGap
 from clsim.arrays import Floats
-from clsim.paths.family import Instant, Rows
+from clsim.paths.family import Columns, Instant, Links, Pair, Rows
 from clsim.paths.legs.legs import path_vertices
 from clsim.paths.legs.mirrors import dot
-from clsim.paths.links import Columns, Links, Pair
 from clsim.paths.propagation import UniformAir
 from clsim.paths.response import Kinematics, SceneResponse
 from clsim.paths.vertices import edge_events

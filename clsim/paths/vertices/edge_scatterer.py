@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE, path_over_edge
 from clsim.arrays import ByRow, Floats
-from clsim.paths.family import Instant, Rows, ends_at
+from clsim.paths.family import Columns, Instant, Integers, Links, Pair, Rows, ends_at
 from clsim.paths.legs.legs import StaticLeg, path_vertices
-from clsim.paths.links import Columns, Integers, Links, Pair
 from clsim.paths.propagation import straight
 from clsim.paths.response import Arrivals, Kinematics, SceneResponse
 from clsim.paths.vertices.edge import EdgeVertex

@@ -17,8 +17,7 @@ from clsim.acoustics.diffraction import (
     wedge_terms,
 )
 from clsim.arrays import Floats
-from clsim.paths.family import Rows
-from clsim.paths.links import Links, Pair
+from clsim.paths.family import Links, Pair, Rows
 from clsim.paths.response import Kinematics, SceneResponse
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex, Triple
 from clsim.paths.vertices.edge_end import EdgeEndVertex

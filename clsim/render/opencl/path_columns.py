@@ -19,10 +19,9 @@ from clsim.acoustics.sphere import LEFT_OUT, sphere_modes
 from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.paths.cubics import FACE_COLUMNS, POSE_COLUMNS, face_knots, face_rate, pose_knots, pose_rate
-from clsim.paths.family import Rows
+from clsim.paths.family import Links, Rows
 from clsim.paths.legs.events import BEYOND_LEG
 from clsim.paths.legs.mirrors import ROOM
-from clsim.paths.links import Links
 from clsim.paths.response import Walls
 from clsim.paths.vertices.edge_field import BOTH, least_angle
 from clsim.paths.vertices.scatterer_paths import PATIENCE
