@@ -57,11 +57,10 @@ class ChannelPaths:
 
         result: ``delay`` and complex ``gain``; names of ``source`` and ``receiver`` by path.
         """
-        coordinates: dict[str, Any] = {"times": ("times", self.times)}
-        for name, names, index in (
-            ("source", self.source_names, self.source), ("receiver", self.receiver_names, self.receiver)
-        ):  # fmt: skip
-            coordinates[name] = ("path", texts(names)[index])
+        coordinates: dict[str, Any] = {
+            "times": ("times", self.times), "source": ("path", texts(self.source_names)[self.source]),
+            "receiver": ("path", texts(self.receiver_names)[self.receiver]),
+        }  # fmt: skip
         over = ("path", "times")
         found = labelled_dataset({"delay": (over, self.delay), "gain": (over, self.gain)}, coordinates)
         return found.assign_attrs(carrier=self.carrier)
@@ -141,10 +140,8 @@ def channel_paths(
         at = SceneResponse(scene, pair.source, np.array([carrier]))
         for part in slices_of(len(times), len(rows)):
             found = pair.arrivals(times[part], kinematics)
-            delay[rows, part], rate[rows, part] = (
-                found.delay + pair.group_delay_offset(found, carrier),
-                found.delay_rate,
-            )
+            delay[rows, part] = found.delay + pair.group_delay_offset(found, carrier)
+            rate[rows, part] = found.delay_rate
             turned = np.exp(-2j * np.pi * _fraction(carrier * found.delay))
             gain[rows, part] = pair.response(found, times[part], at)[..., 0] * turned
     silent = (times < span[0][:, None]) | (times >= span[1][:, None])
@@ -163,7 +160,7 @@ def channel_taps(
     low, high = band.carrier - 0.5 * band.bandwidth, band.carrier + 0.5 * band.bandwidth
     check_band_coverage(scene, range(len(scene.sources)), low, high, "the band of the taps")
     kernels = BandKernels(band.bandwidth / band.sampling_rate)
-    members = [(rows, pair) for rows, pair in pairs]
+    members = list(pairs)
     ends = len(scene.sources), len(scene.receivers)
     _check_size((*ends, 2 * kernels.reach, len(times)))  # at least, before delays are known
     first, last = _reach(members, times, kinematics, band.sampling_rate, kernels.reach)

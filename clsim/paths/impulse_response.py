@@ -75,12 +75,10 @@ def impulse_response(
     delays: Floats, responses: Callable[[Floats, NDArray[np.int64]], Floats | Complexes], sampling_rate: float,
     band: ResponseBand,
 ) -> ImpulseResponse:  # fmt: skip
-    """Return the impulse response of paths, exact over a band.
+    """Return the impulse response of paths with delays (P,), s, exact over a band.
 
-    Shapes: delays (P,) s.
-    responses: takes frequencies (F,) in Hz and rows of paths (n,); gives their responses (n, F), real or complex.
-    result: its spectrum is ``sum_p R_p(f) exp(-2j pi f delay_p)`` within -110 dB of the strongest response over the
-    band.
+    `responses` takes frequencies (F,), Hz, and rows of paths (n,), and gives their responses (n, F). The spectrum is
+    ``sum_p R_p(f) exp(-2j pi f delay_p)`` within -110 dB of the strongest response over the band.
     All responses are sums of a few of them (an interpolative decomposition: H. Cheng et al., "On the compression of low
     rank matrices", SIAM J. Sci. Comput. 26(4), 2005). For each of these few, the impulses of all paths are summed, and
     the sum's spectrum is multiplied by the response, taken at every frequency of the transform.
@@ -180,7 +178,7 @@ def frozen_responses(
 ) -> list[ImpulseResponse]:  # fmt: skip
     """Return the impulse response of each channel of a pair's receiver at a time, as if nothing moved.
 
-    centre: frequency at which air, walls and directivities are taken, Hz; each at its own when left out.
+    Air, walls and directivities are taken at the frequency `centre`, Hz, or each at its own when left out.
     """
     now = np.array([time])
     found = pair.arrivals(now, QUASI_STATIC)

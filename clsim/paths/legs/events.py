@@ -58,6 +58,11 @@ class Events:
     share: Floats
     cosine: Floats  # (P, T, N) of the angle of incidence
 
+    def put(self, rows: NDArray[np.int64], others: Events) -> None:
+        """Replace some of the paths."""
+        for field in fields(self):
+            getattr(self, field.name)[rows] = getattr(others, field.name)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ends:
@@ -86,15 +91,10 @@ def find_events(
     retarded: bool = True,
     rounds: int = _ROUNDS,
 ) -> Events:
-    """Return the events of paths by mirrors.
+    """Return the events of paths by mirrors (P, N) at times (T,), s, as if mirrors had no edges.
 
-    Shapes: walls (P, N); times (T,) s.
-
-    medium: what sound travels in; in wind all is seen from the air's own frame, where the law is the same.
-
-    retarded: whether all is where it was when the sound passed, or rests where it is at reception.
-
-    result: also of paths that are not there: what would be seen if mirrors had no edges.
+    In wind all is seen from the air's own frame, where the law is the same. All is where it was when the sound passed,
+    `retarded`, or rests where it is at reception.
 
     Where times are many and near to each other, events are looked for at every fourth of them first: quintic splines
     through these are where the others begin, and change no more than how many rounds that takes.
@@ -115,9 +115,8 @@ def find_events(
     coarse = search.surely_solved(walls, moments[few], rounds)
     found, left, _ = search.solved(walls, moments, _Known.between(coarse, moments, few), _FEW_ROUNDS)
     rows = np.flatnonzero(left > _FOUND)
-    again = search.surely_solved(walls[rows], moments, rounds) if len(rows) else None
-    for name in () if again is None else (f.name for f in fields(Events)):
-        getattr(found, name)[rows] = getattr(again, name)
+    if len(rows):
+        found.put(rows, search.surely_solved(walls[rows], moments, rounds))
     return found
 
 
@@ -170,16 +169,11 @@ class _Search:
             motion: Any = tuple(end.part(rows) if hasattr(end, "part") else end for end in self.motion)
             search, some = replace(self, motion=motion, mixes=True), times[rows] if times.ndim > 1 else times
             again, _, strays[rows] = search.solved(walls[rows], some, None, more)
-            for name in (f.name for f in fields(Events)):
-                getattr(found, name)[rows] = getattr(again, name)
+            found.put(rows, again)
         return found
 
     def solved(
-        self,
-        walls: NDArray[np.signedinteger[Any]],
-        times: Floats,
-        known: _Known | None,
-        rounds: int,
+        self, walls: NDArray[np.signedinteger[Any]], times: Floats, known: _Known | None, rounds: int
     ) -> tuple[Events, Floats, Floats]:
         """Return the events of paths, and the last steps (P,) of times of emission, s, and of places on mirrors, m."""
         shape, retarded = (len(walls), times.shape[-1]), self.retarded
