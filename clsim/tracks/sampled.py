@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import Floats, firsts, ranges
 from clsim.paths.family import PairPaths
 from clsim.paths.response import Arrivals, SceneResponse
 from clsim.scene.directivity.directivity import ChannelDirectivity
@@ -60,9 +60,8 @@ class Picked:
     whole: bool = False  # all paths of each instant, whose level is that of the responses
 
     def thinned(self, every: int) -> Picked:
-        spans = list(pairwise(self.first))[::every]
-        rows = np.concatenate([np.arange(begin, end) for begin, end in spans])
-        first = tuple(np.cumsum([0, *(end - begin for begin, end in spans)]).tolist())
+        begin, end = np.array(self.first[:-1])[::every], np.array(self.first[1:])[::every]
+        rows, first = ranges(begin, end)[1], tuple(firsts(end - begin).tolist())
         changed: dict[str, Any] = {"scale": self.scale[rows], "first": first}
         if self.times.ndim == 1:
             at = np.arange(len(self.times))[::every]
