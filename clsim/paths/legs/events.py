@@ -58,11 +58,6 @@ class Events:
     share: Floats
     cosine: Floats  # (P, T, N) of the angle of incidence
 
-    def put(self, rows: NDArray[np.int64], others: Events) -> None:
-        """Replace some of the paths."""
-        for field in fields(self):
-            getattr(self, field.name)[rows] = getattr(others, field.name)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ends:
@@ -116,7 +111,9 @@ def find_events(
     found, left, _ = search.solved(walls, moments, _Known.between(coarse, moments, few), _FEW_ROUNDS)
     rows = np.flatnonzero(left > _FOUND)
     if len(rows):
-        found.put(rows, search.surely_solved(walls[rows], moments, rounds))
+        again = search.surely_solved(walls[rows], moments, rounds)
+        for field in fields(Events):
+            getattr(found, field.name)[rows] = getattr(again, field.name)
     return found
 
 
@@ -169,7 +166,8 @@ class _Search:
             motion: Any = tuple(end.part(rows) if hasattr(end, "part") else end for end in self.motion)
             search, some = replace(self, motion=motion, mixes=True), times[rows] if times.ndim > 1 else times
             again, _, strays[rows] = search.solved(walls[rows], some, None, more)
-            found.put(rows, again)
+            for field in fields(Events):
+                getattr(found, field.name)[rows] = getattr(again, field.name)
         return found
 
     def solved(
