@@ -25,7 +25,7 @@ from clsim.scene.ends import Receiver
 from clsim.scene.signal.signal import Signal
 from clsim.scene.signal.waveforms import white_noise
 from clsim.scene.transducer import Electronics
-from clsim.tracks.tracks import Tracks
+from clsim.tracks.tracks import Tracks, as_tracks
 
 _Kind = Literal["highpass", "lowpass"]
 
@@ -127,8 +127,7 @@ def render_tracks(
     >>> render_tracks([tone], tracks, 48e3, engine="reference", duration=0.05).pressure.shape
     (1, 2400)
     """
-    if not isinstance(tracks, Tracks):
-        raise InputError("tracks", f"must be Tracks, but is {tracks!r:.80}")
+    tracks = as_tracks(tracks)
     if not isinstance(signals, list | tuple):
         raise InputError("signals", f"must be a list, but is {signals!r:.80}")
     for i, signal in enumerate(signals):

@@ -83,7 +83,13 @@ class Tracks(ABC):
     def evaluate(
         self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
     ) -> tuple[Floats, Floats, Floats]:
-        """Return delays, rates and gains of the paths of a `pair`, as of `evaluate_together`."""
+        """Return delays (P, T), s, rates and gains of a `pair`, as of `evaluate_together` with one pair.
+
+        Parameters
+        ----------
+        times, basis, rows, every
+            As of `evaluate_together`.
+        """
         return self.evaluate_together([pair], times, basis, rows, every)[0]
 
     @abstractmethod
@@ -134,7 +140,7 @@ class Tracks(ABC):
 
     @abstractmethod
     def delay_ranges(self, pairs: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
-        """Return bounds on the delays of the paths of each of `pairs` received from `start` to `end`, s."""
+        """Return bounds (paths,), (paths,) on the delays of each of `pairs` received from `start` to `end`, s."""
 
     def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
         """Return a bound on delays from `start` to `end` of reception, s, of one `source` or all; 0 without paths."""
@@ -382,6 +388,13 @@ class SampledTracks(Tracks):
 
     def first_end(self) -> tuple[float, str]:
         return self.end, "the samples"
+
+
+def as_tracks(value: object) -> Tracks:
+    """Return tracks."""
+    if not isinstance(value, Tracks):
+        raise InputError("tracks", f"must be Tracks, but is {value!r:.80}")
+    return value
 
 
 def track(

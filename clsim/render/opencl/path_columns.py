@@ -61,12 +61,8 @@ OF_GAINS = {
 }  # fmt: skip
 _SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere": SPHERE}
 # Structures of kernels/nodes/path.h.
-_TWO_SIDES = [
-    ("source_turn", "f8", 9),
-    ("source_shift", "f8", 3),
-    ("receiver_turn", "f8", 9),
-    ("receiver_shift", "f8", 3),
-]
+_PARTS = (("turn", 9), ("shift", 3))
+_TWO_SIDES = [(f"{end}_{part}", "f8", count) for end in ("source", "receiver") for part, count in _PARTS]
 EDGE_VIEW = np.dtype(
     [*_TWO_SIDES, ("n", "f8"), ("low", "f8", 2), ("wide", "f8", 2), ("narrow", "f8", 2), ("even", "f8", 2),
      ("odd", "f8", 2), ("end", "f8"), ("lit", "i4", 4), ("end_side", "i4"), ("face", "i4", 2), ("bounces", "i4", 2),
