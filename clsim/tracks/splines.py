@@ -125,15 +125,10 @@ def in_batches(items: Sequence[int], counts: Sequence[int]) -> Iterator[list[int
         yield batch
 
 
-# Source, receiver, and when each path begins and ends, s; splines by pair; sources; receivers; largest rate; end, s.
-FittedTracks = tuple[
-    list[tuple[int, int, Floats, Floats]], tuple[tuple[tuple[NDArray[np.int64], Any], ...], ...], int, tuple[str, ...],
-    float, float,
-]  # fmt: skip
-
-
-def fitted_tracks(times: Any, delays: Any, gains: Any, sources: Any, receivers: Any) -> FittedTracks:
-    """Fit tracks to samples; see `Tracks.from_samples`."""
+def fitted_tracks(
+    times: Any, delays: Any, gains: Any, sources: Any, receivers: Any
+) -> tuple[list[Any], dict[str, Any]]:
+    """Fit tracks to samples: source, receiver, starts and ends (s) of each pair, and the fields of `SampledTracks`."""
     times, delays, gains = checked_samples(times, delays, gains)
     s, r = (checked_indices(n, v, len(delays)) for n, v in (("sources", sources), ("receivers", receivers)))
     intervals = audible_intervals(np.isfinite(delays))
@@ -151,7 +146,10 @@ def fitted_tracks(times: Any, delays: Any, gains: Any, sources: Any, receivers: 
     names = tuple(f"receiver-{i}" for i in range(int(r.max()) + 1))
     # The slope at a sample bounds that between samples but for the spline's bend: 5 % cover it.
     bound = min(1.05 * largest, 0.99)
-    return pairs, tuple(splines), int(s.max()) + 1, names, bound, float(times[-1])
+    return pairs, {
+        "splines": tuple(splines), "source_count": int(s.max()) + 1, "receiver_names": names, "largest_rate": bound,
+        "end": float(times[-1]),
+    }  # fmt: skip
 
 
 TAPER_TERMS = 11  # of the odd polynomial of a taper

@@ -185,8 +185,9 @@ class Tracks(ABC):
         >>> clsim.render_tracks([tone], tracks, sampling_rate=48e3).pressure.shape
         (1, 48000)
         """
-        fitted = fitted_tracks(times, delays, gains, sources, receivers)
-        return SampledTracks(tuple(PairTracks(*pair) for pair in fitted[0]), *fitted[1:], as_transition(transition))
+        pairs, fitted = fitted_tracks(times, delays, gains, sources, receivers)
+        each = tuple(PairTracks(*pair) for pair in pairs)
+        return SampledTracks(each, **fitted, transition=as_transition(transition))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

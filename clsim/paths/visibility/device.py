@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,7 @@ class DeviceSearch:
         self._info, handle = self._device
         self._compiler = compiler_of(handle)
         self._queue = cl.CommandQueue(self._compiler.context)
+        self._upload = partial(upload, self._queue.context)
         walls, ends = query.walls, query.trajectory_tables
         tables = ("places", "scales", "knots", "speeds", "mounts")
         self._arguments = room_arguments(self._queue.context, walls, self._info)
@@ -90,13 +92,13 @@ class DeviceSearch:
                 states = np.zeros(len(end), dtype=progress(_DEPTH))
                 states["begin"], states["end"], states["depth"] = 1.0, -1.0, begin < end  # nothing yet; all is left
                 states["stack"]["begin"][:, 0], states["stack"]["end"][:, 0] = begin, end
-                parts.append((first, *self._search(program, constants, some, states, others)))
+                parts.append(self._search(program, constants, some, states, others))
+                parts[-1][0]["path"] += first
         except (cl.MemoryError, cl.RuntimeError) as error:
             raise DeviceError(f"the device failed while paths were validated: {error}") from error
-        no = np.empty(0, dtype=INTERVAL)
-        path = np.concatenate([no["path"], *(p["path"].astype(np.int64) + first for first, p, _ in parts)])
-        begin, end = (np.concatenate([no[name], *(p[name] for _, p, _ in parts)]) for name in ("begin", "end"))
-        return intervals.merged(path.astype(np.int64), begin, end, sum(evaluations for _, _, evaluations in parts))
+        found = np.concatenate([np.empty(0, dtype=INTERVAL), *(some for some, _ in parts)])
+        path, evaluations = found["path"].astype(np.int64), sum(count for _, count in parts)
+        return intervals.merged(path, found["begin"], found["end"], evaluations)
 
     def _evaluations(self, order: int) -> int:
         """Largest number of evaluations of paths of an order in a launch: legs are near all boxes, twice."""
@@ -155,9 +157,6 @@ class DeviceSearch:
             path = f"the path by the walls {sequence[worst].tolist()} needs more; it runs along an edge"
             bound = f"must let every path be settled within {intervals.MOST_EVALUATIONS} evaluations"
             raise InputError("resolution", f"{bound}, but {path}: move an end, or ask less finely")
-
-    def _upload(self, array: NDArray[Any]) -> Any:
-        return upload(self._queue.context, array)
 
 
 def _triple(vector: Floats) -> str:
