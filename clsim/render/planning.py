@@ -119,8 +119,8 @@ def _check_receivers(scene: Scene, rate: float) -> float:
 
 def _pruned(tracks: SceneTracks, options: RenderOptions, below_db: float) -> tuple[SceneTracks, str]:
     """Return the tracks of the paths that may matter, and a note on the others."""
-    end = min(max(source.start + source.emitted.duration for source in tracks.scene.sources), tracks.first_end()[0])
-    until = min(options.duration or end + tracks.longest_delay(end, end), tracks.first_end()[0])
+    end = min(max(source.start + source.emitted.duration for source in tracks.scene.sources), tracks.last_time())
+    until = min(options.duration or end + tracks.longest_delay(end, end), tracks.last_time())
     return pruned(tracks, below_db, until)
 
 

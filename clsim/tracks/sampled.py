@@ -156,8 +156,7 @@ class Draw:
         spread = Band(band.low, band.high, even, np.ones((1, count)) / count)
         rows = few.responses(spread).responses
         energy = np.sum(np.abs(np.fft.ifft(rows * (level * np.hanning(count)), axis=1)) ** 2, axis=0)
-        # The transform goes round: time begins opposite to where most of the energy is, which is late rather than
-        # early.
+        # The transform goes round: time begins opposite to where most of the energy is, rather late than early.
         turns = np.angle(energy @ np.exp(2j * math.pi * np.arange(count) / count)) / (2.0 * math.pi)
         begin = round((turns + (turns < -0.25) - 0.5) * count)
         below = np.cumsum(np.roll(energy, -begin)) / max(float(energy.sum()), 1e-300)

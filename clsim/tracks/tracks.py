@@ -151,6 +151,10 @@ class Tracks(ABC):
     def first_end(self) -> tuple[float, str]:
         """Return the time of reception up to which the tracks are known, s, and what ends then, in words."""
 
+    def last_time(self) -> float:
+        """Return the time of reception up to which the tracks are known, s."""
+        return self.first_end()[0]
+
     @staticmethod
     def from_samples(
         times: Any, delays: Any, gains: Any, *, sources: Any = None, receivers: Any = None,

@@ -185,9 +185,8 @@ def in_batches(
 ) -> list[PathBatch]:  # fmt: skip
     """Cut a source's pairs into batches of slots: as many as fit the budget of nodes in blocks of a length, bytes.
 
-    All pairs of a batch have their nodes made by the same maker, which the kind stands for, and as many channels. No
-    receiver is in it twice, with paths of two kinds or too many for a launch: work-groups that add to the same samples
-    would race.
+    All pairs of a batch have the same maker of nodes, which the kind stands for, and as many channels. No receiver is
+    in it twice: work-groups that add to the same samples would race.
     """
     batches = list[list[ActivePaths]]()
     count, last, there = 0, None, set[int]()
