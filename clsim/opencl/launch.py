@@ -304,7 +304,7 @@ class Launch:
         self._read = [(i, NUMBERS.get(a.type.rstrip("0123456789"))) for i, a in places if a.access == "in"]
 
     def __call__(self, queue: Any, items: WorkItems, /, **arguments: Any) -> Any:
-        """Launch it; return the event. Arrays for buffers that are only read are uploaded; None is a buffer not used."""
+        """Launch it; return the event. Arrays for buffers that are only read are uploaded; None is an unused buffer."""
         try:
             taken = list(self._ordered(arguments))
             values = [(i, np.array(tuple(of(arguments)), kind)) for i, of, kind in self._structures]

@@ -142,11 +142,11 @@ class BodySearch:
     def unhidden(self, family: PathFamily, progress: Progress = lambda share: None) -> PathFamily:
         """Return the paths of a kind that is reflected by no body without what bodies hide, rows cut as it takes."""
         found: list[tuple[Any, Any, Any]] = [(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))]
-        pairs = list(family.pairs())
+        pairs, bodies = list(family.pairs()), replace(self.obstacles, convex=True)  # alone: no wall hides anything
         for number, pair in enumerate(pairs):
             part = partial(report, progress, number / len(pairs), (number + 1) / len(pairs))
             query = self.pair(pair.source, pair.receiver)
-            past = PastBodies(family, pair.index, self.obstacles, query.rates, query.medium)
+            past = PastBodies(family, pair.index, bodies, query.rates, query.medium)
             if family.is_specular:
                 every = np.arange(len(pair.index))
                 spans = every, np.maximum(family.start[pair.index], 0.0), np.minimum(family.end[pair.index], query.last)

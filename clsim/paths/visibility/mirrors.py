@@ -15,7 +15,7 @@ from clsim.paths.legs.events import Events, find_events
 from clsim.paths.legs.legs import path_vertices
 from clsim.paths.propagation import UniformAir, mean_medium_of
 from clsim.paths.visibility.certainty import EARLIER, Drift, Line, absent, averted, behind, drift, straightened
-from clsim.paths.visibility.obstacles import LegDrift, Legs, Obstacles, hidden_by
+from clsim.paths.visibility.obstacles import LegDrift, Legs, Obstacles
 from clsim.paths.visibility.rates import FAR, GRAZE_TIME, EndRates, Pace, lasts, taken_for
 from clsim.paths.visibility.subdivision import ROUNDS, Status
 from clsim.scene.motion.motion import Motion
@@ -155,7 +155,7 @@ class PastBodies:
 
     family: PathFamily
     index: Rows  # (P,) of the pair in it
-    obstacles: Obstacles  # of the scene
+    obstacles: Obstacles  # bodies of the scene alone
     rates: EndRates  # how fast the ends and the bodies are
     medium: UniformAir  # what sound travels in
 
@@ -216,11 +216,10 @@ class PastBodies:
         free = np.ones(shape[0] * shape[1], dtype=bool)
         flat, at = place.reshape(-1, *place.shape[2:]), when.reshape(-1, when.shape[2])
         for leg in range(at.shape[1] - 1):
-            for body in self.family.scene.bodies:
-                rows = np.flatnonzero(free & np.isfinite(at[:, leg + 1]))
-                legs = Legs(flat[rows, leg], flat[rows, leg + 1], at[rows, leg], at[rows, leg + 1])
-                none = np.full(len(rows), -1)
-                free[rows] = ~hidden_by(body, legs, none, none)[0]
+            rows = np.flatnonzero(free & np.isfinite(at[:, leg + 1]))
+            legs = Legs(flat[rows, leg], flat[rows, leg + 1], at[rows, leg], at[rows, leg + 1])
+            none = np.full(len(rows), -1)
+            free[rows] = ~self.obstacles.blocked(legs, none, none)
         return free.reshape(shape)
 
     def status(self, rows: Rows, times: Floats) -> NDArray[np.bool_]:
@@ -245,18 +244,16 @@ class PastBodies:
         speed = np.column_stack([pace.source * late, slides, np.zeros(len(rows))])
         speed[np.arange(len(rows)), order + 1] = pace.receiver
         for leg in range(when.shape[1] - 1):
-            for body, thing in enumerate(self.obstacles.mirrors.bodies):
-                some = np.flatnonzero(free & (order >= leg))
-                at = np.stack([np.full(len(some), leg == 0), order[some] == leg], axis=1)
-                held = pace.held[some] & at[:, None]
-                ends = speed[some, leg], speed[some, leg + 1]
-                sooner = late[some] + np.maximum(*ends) / c
-                changes = LegDrift(*ends, sooner, held, pace.part(some))
-                legs = Legs(place[some, leg], place[some, leg + 1], when[some, leg], when[some, leg + 1])
-                none = np.full(len(some), -1)
-                blocked, certain = hidden_by(thing, legs, none, none, (body, changes))
-                free[some] = ~blocked
-                sure[some] = np.where(blocked, certain, np.minimum(sure[some], certain))
+            some = np.flatnonzero(free & (order >= leg))
+            at = np.stack([np.full(len(some), leg == 0), order[some] == leg], axis=1)
+            ends = speed[some, leg], speed[some, leg + 1]
+            sooner = late[some] + np.maximum(*ends) / c
+            changes = LegDrift(*ends, sooner, pace.held[some] & at[:, None], pace.part(some))
+            legs = Legs(place[some, leg], place[some, leg + 1], when[some, leg], when[some, leg + 1])
+            none = np.full(len(some), -1)
+            blocked, certain = self.obstacles.evaluated(legs, none, none, changes)
+            free[some] = ~blocked
+            sure[some] = np.where(blocked, certain, np.minimum(sure[some], certain))
         sure = pace.unless_jumps(sure)
         return free, sure, taken_for(sure, np.minimum(np.nanmax(speed, axis=1), FAR) + pace.all_lengths)
 
