@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any, Self
 
@@ -60,11 +60,21 @@ def firsts(count: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def spread(first: NDArray[np.int64], which: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return indices of the ragged rows `which`, where row w spans ``first[w]`` to ``first[w + 1]``."""
-    # Shapes: first (n + 1,); which (k,); result (m,).
-    count = first[which + 1] - first[which]
-    of = np.repeat(np.arange(len(which)), count)
-    return of, np.arange(len(of)) + np.repeat(first[which] - np.cumsum(count) + count, count)
+    """Return indices (m,) of the ragged rows `which` (k,), where row w spans ``first[w]`` to ``first[w + 1]``."""
+    return ranges(first[which], first[which + 1])
+
+
+def ranges(first: NDArray[np.int64], after: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return for the numbers of several ranges, up to those after their last ones, which range each is of, and all."""
+    count = after - first
+    of = np.repeat(np.arange(len(count)), count)
+    return of, np.arange(len(of)) + np.repeat(first - np.cumsum(count) + count, count)
+
+
+def by_value(values: NDArray[Any]) -> Iterator[tuple[Any, Rows]]:
+    """Yield each different value (n,), increasing, and the indices at which it stands."""
+    for value in np.unique(values).tolist():
+        yield value, np.flatnonzero(values == value)
 
 
 def unique_rows(rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64], NDArray[np.int64]]:

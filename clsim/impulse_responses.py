@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from clsim.arrays import Floats, as_choice, as_count, as_floats, as_number, read_only, row_name, short_repr
 from clsim.errors import InputError, warn
 from clsim.numerics.convolution import band_taper
-from clsim.paths.arrivals import QUASI_STATIC
+from clsim.paths.channel import ImpulseResponse, ResponseBand, frozen_responses, summed
 from clsim.paths.family import PairPaths
-from clsim.paths.impulse_response import ImpulseResponse, ResponseBand, frozen_responses, summed
 from clsim.paths.path_set import PathSet
-from clsim.paths.response import check_band_coverage
+from clsim.paths.response import QUASI_STATIC, check_band_coverage
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.scene import Scene
 from clsim.tail.design import SCATTERINGS, ULTRASOUND, NoTailError, SourceTail, TailOptions, find_tail, searched_order

@@ -146,10 +146,9 @@ _names: dict[str, Any] = {}  # texts that devices point to, for as long as there
 
 @cache
 def name_processor(device: Any) -> None:
-    """Make PoCL compile for the features of this processor where it does not know its name; once in a process.
+    """Make PoCL compile for the features of a processor that it does not know by name; once in a process.
 
-    device: of PoCL. Nothing is done where its processor has a name, on other systems than Linux with x86-64, and where
-    a process may not read its own memory.
+    Nothing is done on other systems than Linux with x86-64, and where a process may not read its own memory.
     """
     with suppress(OSError):
         if processor(device) == UNKNOWN:

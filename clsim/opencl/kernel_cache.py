@@ -54,8 +54,7 @@ def prepare() -> str:
     if private is None:
         return f"{trouble}; no temporary folder can either: free some space, or set POCL_CACHE_DIR to one that can"
     os.environ["POCL_CACHE_DIR"] = str(private)
-    message = f"{trouble}; kernels are built anew by every process (set POCL_CACHE_DIR to a folder that lasts)"
-    warn(message)
+    warn(f"{trouble}; kernels are built anew by every process (set POCL_CACHE_DIR to a folder that lasts)")
     return ""
 
 
@@ -155,9 +154,8 @@ class Trial:
     """Building a program and running it for the first time, with a mark beside the cache meanwhile.
 
     A process that dies while building can leave an entry in PoCL's cache that ends every later process which uses it.
-    Such a process leaves its mark too, a file that nobody locks, and the program is from then on built as another one.
-
-    options: for the compiler. The attribute `options` has one more where a process died.
+    Such a process leaves its mark too, a file that nobody locks. From then on the program is built as another one, with
+    one more of the compiler's `options`.
     """
 
     def __init__(self, program: str, text: str, options: list[str]) -> None:
@@ -169,11 +167,9 @@ class Trial:
             if not died:
                 return
             if died == "now":
-                message = (
-                    f"a process died while it built or first ran {program}.cl: the program is built anew, and what is "
-                    f"cut short in {pocl_folder()} was deleted ({_swept(pocl_folder())} files)"
-                )
-                warn(message)
+                cut_short = f"what is cut short in {pocl_folder()} was deleted ({_swept(pocl_folder())} files)"
+                anew = f"a process died while it built or first ran {program}.cl: the program is built anew"
+                warn(f"{anew}, and {cut_short}")
 
     def _died(self) -> str:
         """Return "now" if a process is found to have died, "before" if that is known, or an empty text."""
@@ -243,10 +239,7 @@ def _is_whole(path: Path) -> bool:
 
 
 class TriedKernel:
-    """A kernel whose first runs are marked: its driver loads the built kernel, or makes it, only then.
-
-    A driver may make a kernel anew by the sizes of groups and of launches.
-    """
+    """A kernel whose first runs are marked: its driver loads or makes it only then, for each size of launches."""
 
     def __init__(self, kernel: Any, trial: Trial) -> None:
         self._kernel, self._trial = kernel, trial

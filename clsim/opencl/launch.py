@@ -304,11 +304,7 @@ class Launch:
         self._read = [(i, NUMBERS.get(a.type.rstrip("0123456789"))) for i, a in places if a.access == "in"]
 
     def __call__(self, queue: Any, items: WorkItems, /, **arguments: Any) -> Any:
-        """Launch it; return the event.
-
-        **arguments: buffers and numbers, those of structures too. An array for a buffer that is only read is uploaded;
-            None is a buffer that is not used.
-        """
+        """Launch it; return the event. Arrays for buffers that are only read are uploaded; None is an unused buffer."""
         try:
             taken = list(self._ordered(arguments))
             values = [(i, np.array(tuple(of(arguments)), kind)) for i, of, kind in self._structures]
@@ -342,10 +338,8 @@ def upload(context: Any, array: NDArray[Any]) -> Any:
 
 
 def work(count: int, *more: int, group: int = 32) -> WorkItems:
-    """Return the size of a launch and of its work-groups: `group` items of the first dimension, rounded up to these.
-
-    Left to itself a runtime may choose groups by the divisors of each size, and build the kernel anew for every one.
-    """
+    """Return the size of a launch and of its work-groups: `group` items of the first dimension, rounded up to these."""
+    # Left to itself a runtime may choose groups by the divisors of each size, and build the kernel anew for every one.
     return (-(-count // group) * group, *more), (group, *(1 for _ in more))
 
 

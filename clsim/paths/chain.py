@@ -1,4 +1,4 @@
-"""Paths as chains of legs and vertices: the one family of all that clsim finds, see ``links.py``.
+"""Paths as chains of legs and vertices: the one family of all that clsim finds, see ``family.py``.
 
 The support matrix tells which paths are possible in which medium, and whether a device or the host makes their nodes.
 Refusals, the choice of device or host, and the table of ``docs/limitations.md`` are made from it.
@@ -15,23 +15,24 @@ import numpy as np
 
 from clsim.arrays import Complexes, Floats, read_only
 from clsim.errors import InputError
-from clsim.paths.arrivals import RETARDED, Arrivals, Kinematics
-from clsim.paths.family import DIFFRACTION, TRANSMISSION, Instant, PathFamily, PeakSpeeds, Rows, ends_at
-from clsim.paths.links import Integers, Links
-from clsim.paths.response import SceneResponse
+from clsim.paths.family import (
+    DIFFRACTION,
+    TRANSMISSION,
+    Instant,
+    Integers,
+    Links,
+    PathFamily,
+    PeakSpeeds,
+    Rows,
+    ends_at,
+)
+from clsim.paths.response import RETARDED, Arrivals, Kinematics, SceneResponse
 from clsim.scene.air import Air
 from clsim.scene.scene import Scene
 
 _ROUNDS = 4  # of finding the time of emission
 DEVICE, HOST, REFUSED = "device", "host", "refused"
 MEDIA = ("still air", "wind", "air by height", "fluctuating air")
-# Methods of rendering, and the media in which they take pairs whose paths change with both ends alone.
-METHODS = {
-    "sum over paths": MEDIA,
-    "narrow bands": MEDIA,
-    "convolution (pairs at rest)": MEDIA[:3],
-    "sampled channels": MEDIA[:3],
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,17 +121,6 @@ def check_support(kind: str, air: Air) -> None:
 def program_of(kind: str, air: Air) -> str | None:
     """Name the device's program of nodes for a kind of chains; None where the host makes them."""
     return SUPPORT[kind].program if support(kind, air) == DEVICE else None
-
-
-def support_tables() -> str:
-    """Write the matrix as tables of a page: paths by media, and methods by media."""
-    head = f"{' | '.join(MEDIA)} |\n|{'---|' * (len(MEDIA) + 1)}"
-    rows = [f"| {row.paths} | {' | '.join(row.where)} |" for row in SUPPORT.values()]
-    methods = [
-        f"| {name} | {' | '.join('yes' if medium in media else 'no' for medium in MEDIA)} |"
-        for name, media in METHODS.items()
-    ]
-    return "\n".join([f"| nodes of paths by | {head}", *rows, "", f"| method | {head}", *methods])
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,8 +326,9 @@ class Chain(PathFamily):
         links, level = self.links(rows), None if self.level is None else self.level[rows]
         return replace(self, **columns, legs=links.legs, vertex=links.vertex, level=level)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    def check(self) -> None:
+        """Refuse columns, legs and vertices with another number of rows than paths."""
+        super().check()
         for part in (*self.legs, self.vertex, self.level):
             if part is not None and len(part) != len(self):
                 name = type(part).__name__

@@ -75,10 +75,8 @@ def _axis_cubics(source: Source, times: Floats, axis: Floats, step: float) -> li
 def _knot_error(source: Source, end: float, rate: float, tolerance: float) -> float:
     """Return the largest error of the cubics between knots, m; that of the axis on the same scale."""
     largest, trajectory, step = 0.0, source.trajectory, 1.0 / rate
-    for first in range(0, math.ceil(end * rate) + 1, _KNOTS_AT_A_TIME):
+    for first in range(0, math.ceil(end * rate), _KNOTS_AT_A_TIME):
         times = np.arange(first, min(first + _KNOTS_AT_A_TIME, math.ceil(end * rate)) + 1, dtype=np.float64) / rate
-        if len(times) < 2:
-            break
         cubic = cubics_between(trajectory.position(times), trajectory.velocity(times) / rate)
         axis = [] if isinstance(source.directivity, Omni) else _axis_cubics(source, times, _AXIS, step)
         for share in EVALUATED_AT:
@@ -104,12 +102,10 @@ def pose_rate(motions: Sequence[Motion], radii: Sequence[float], end: float, tol
 def pose_knots(
     motions: Sequence[Motion], start: float, end: float, rate: float
 ) -> tuple[Floats, NDArray[np.int32], float]:
-    """Return cubics of positions and axes of things from `start` to `end`, and where to find them.
+    """Return knots (n, 38) of things from `start` to `end`, s, which of them begin cells (things, cells + 1), and when.
 
-    Shapes: result (knots, 38) s, (things, cells + 1).
-    knots: at the beginning of every cell and wherever the motion has a corner: time, s, and knots per second until the
-    next one, and for the position, m, and the first two axes of the thing in the room coefficients [power][xyz] in
-    units of the piece's length.
+    Knots are at the beginning of every cell and wherever the motion has a corner: time, s, knots per second until the
+    next one, and coefficients [power][xyz] of position, m, and first two axes in units of the piece's length.
     """
     first, last = math.floor(start * rate), math.ceil(end * rate)
     grid = np.arange(first, max(last, first + 1) + 1) / rate
@@ -176,22 +172,18 @@ def face_rate(mirrors: Mirrors, end: float, tolerance: float) -> float:
     if not moving:
         return 1.0
     ends = [min(end, body.time_range[1] or end) for body in moving]
-    good = (
-        rate
-        for rate in KNOT_RATES
-        if all(_face_error(body, last, rate) <= tolerance for body, last in zip(moving, ends, strict=True))
-    )
-    return next(good, KNOT_RATES[-1])
+    for rate in KNOT_RATES:
+        if all(_face_error(body, last, rate) <= tolerance for body, last in zip(moving, ends, strict=True)):
+            break
+    return rate
 
 
 def face_knots(
     mirrors: Mirrors, faces: NDArray[np.signedinteger[Any]], start: float, end: float, rate: float
 ) -> tuple[Floats, float]:
-    """Return cubics of mirrors from `start` to `end`, and the time of the first knot.
+    """Return cubics (n, knots, 16) of faces (n,) from `start` to `end`, s, and the time of the first knot.
 
-    Shapes: faces (n,); result (n, knots, 16) m.
-    knots: of the plane ``normal @ x = offset``, m: coefficients [power][xyz] of the normal in units of the knot's
-    length, and [power] of the offset.
+    They are coefficients [power][xyz] of normals, in units of the knot's length, and [power] of offsets, m.
     """
     first = math.floor(start * rate)
     times = np.arange(first, math.ceil(end * rate) + 2, dtype=np.float64) / rate

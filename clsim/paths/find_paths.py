@@ -10,15 +10,15 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, as_count, as_number, read_only
+from clsim.arrays import Floats, as_count, as_number, ranges, read_only
 from clsim.errors import InputError, warn
 from clsim.keywords import keywords_of
-from clsim.paths.arrivals import QUASI_STATIC
 from clsim.paths.chain import Chain
 from clsim.paths.family import BODY, SPECULAR, PathFamily
 from clsim.paths.legs.legs import image_columns
 from clsim.paths.options import DirectSound, FamilyFinder, PathOptions, RoomFinder
 from clsim.paths.path_set import PathSet
+from clsim.paths.response import QUASI_STATIC
 from clsim.paths.search.bodies import BodySearch
 from clsim.paths.search.body_edge_ends import moving_end_paths
 from clsim.paths.search.body_edge_pairs import moving_edge_pair_paths, moving_gap_paths
@@ -197,8 +197,8 @@ def shoebox_paths(scene: Scene, room: Shoebox, search: PathOptions) -> Chain:
         )
     found = shoebox_images(room.size, order)
     source, receiver = np.divmod(np.repeat(np.arange(pairs, dtype=np.int32), images), len(scene.receivers))
-    ends = [read_only(which.astype(np.int32, copy=False)) for which in (source, receiver)]
     begin, end = np.broadcast_to(-np.inf, images * pairs), np.broadcast_to(np.inf, images * pairs)
+    ends = [read_only(which.astype(np.int32, copy=False)) for which in (source, receiver)]
     walls, orders = read_only(np.tile(found.walls, (pairs, 1))), read_only(np.tile(found.order, pairs))
     matrix, offset = read_only(np.tile(found.matrix, (pairs, 1, 1))), read_only(np.tile(found.offset, (pairs, 1)))
     return Chain(scene, ends[0], ends[1], orders, begin, end, **image_columns(walls, matrix, offset))
@@ -211,9 +211,8 @@ def shoebox_image_count(max_order: int) -> int:
 
 
 def shoebox_images(size: Floats, max_order: int) -> ShoeboxImages:
-    """Return every image of a shoebox up to an order, sorted by order.
+    """Return every image of a shoebox of a size (3,), m, up to an order, sorted by order.
 
-    Shapes: size (3,) m.
     Along one axis, cell m of the mirrored rooms holds the image ``m L + x`` for even m and ``(m + 1) L - x`` for odd m,
     after ``|m|`` reflections: on the maximum wall last for m > 0, on the minimum wall last for m < 0 (Allen and
     Berkley, J. Acoust. Soc. Am. 65, 1979). Reflections are listed axis by axis, x first: in which order a path meets
@@ -238,11 +237,10 @@ def _walls(grid: NDArray[np.int64], max_order: int) -> NDArray[np.int8]:
     before = np.zeros(len(grid), dtype=np.int64)
     for axis in range(3):
         count = np.abs(grid[:, axis])
-        last = 2 * axis + (grid[:, axis] > 0)
-        for step in range(max_order):
-            row = np.flatnonzero(step < count)
-            # The last reflection is on `last`; each one before it is on the opposite wall of the next.
-            walls[row, before[row] + step] = last[row] ^ ((count[row] - 1 - step) % 2)
+        image, step = ranges(np.zeros_like(count), count)
+        # The last reflection is on the side of the cell; each one before it is on the opposite wall of the next.
+        last = 2 * axis + (grid[image, axis] > 0)
+        walls[image, before[image] + step] = last ^ ((count[image] - 1 - step) % 2)
         before += count
     return walls
 

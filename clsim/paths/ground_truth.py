@@ -12,7 +12,6 @@ from clsim.acoustics.scattering import SpecularPoint
 from clsim.arrays import Floats, as_choice, as_floats, read_only, short_repr, texts
 from clsim.errors import InputError, check_packages
 from clsim.numerics.quaternions import rotate
-from clsim.paths.arrivals import Kinematics, slices_of
 from clsim.paths.chain import check_support
 from clsim.paths.family import PairPaths
 from clsim.paths.legs.events import Events
@@ -21,6 +20,7 @@ from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.path_set import PathSet
 from clsim.paths.path_table import categories, labelled_dataset, labelled_frame
 from clsim.paths.propagation import mean_medium_of
+from clsim.paths.response import Kinematics, slices_of
 from clsim.paths.search.scatterers import direct_legs
 from clsim.paths.vertices.scatterer_paths import find_scattered
 from clsim.paths.visibility.obstacles import Legs, Obstacles
@@ -454,46 +454,37 @@ def _nearest(corners: Floats, source: Floats, receiver: Floats, weight: Floats) 
     return np.asarray(places[np.arange(len(places)), best])
 
 
-def _on_edges(start: Floats, step: Floats, source: Floats, receiver: Floats, weight: Floats) -> Floats:
-    """Return the points (n, E, 3) of edges by which ways are shortest."""
-    length = np.linalg.norm(step, axis=1)
-    unit = step / length[:, None]
-    (s, high_s), (r, high_r) = (_beside(end[:, None] - start, unit) for end in (source, receiver))
+def _on_line(s: Floats, high_s: Floats, r: Floats, high_r: Floats, weight: Floats) -> Floats:
+    """Find the places (n, m) on lines with the shortest ways between ends at s and r along and high over them."""
     t = (s * high_r + r * high_s) / np.maximum(high_s + high_r, _TINY)
     for _ in range(_STEPS):
         to, back = (np.maximum(np.hypot(t - x, high), _TINY) for x, high in ((s, high_s), (r, high_r)))
         slope, bend = (t - s) / to + weight * (t - r) / back, high_s**2 / to**3 + weight * high_r**2 / back**3
         t = t - slope / np.maximum(bend, _TINY)
-    return np.asarray(start + np.clip(t, 0.0, length)[..., None] * unit)
+    return t
 
 
-def _beside(away: Floats, unit: Floats) -> tuple[Floats, Floats]:
-    """Components of vectors (n, E, 3) along lines, and distances from them, m."""
-    along = np.einsum("nei,ei->ne", away, unit)
-    return along, np.linalg.norm(away - along[..., None] * unit, axis=2)
+def _on_edges(start: Floats, step: Floats, source: Floats, receiver: Floats, weight: Floats) -> Floats:
+    """Return the points (n, E, 3) of edges by which ways are shortest."""
+    length = np.linalg.norm(step, axis=1)
+    unit, away = step / length[:, None], (source[:, None] - start, receiver[:, None] - start)
+    s, r = (np.einsum("nei,ei->ne", x, unit) for x in away)
+    high_s, high_r = (np.linalg.norm(x - t[..., None] * unit, axis=2) for x, t in zip(away, (s, r), strict=True))
+    place = _on_line(s, high_s, r, high_r, weight)
+    return np.asarray(start + np.clip(place, 0.0, length)[..., None] * unit)
 
 
 def _on_faces(corners: Floats, along: Floats, source: Floats, receiver: Floats, weight: Floats) -> Floats:
     """Return the points (n, F, 3) inside of triangles by which ways are shortest; NaN where these are outside."""
     normal = np.cross(along[:, 0], along[:, 1])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
-    first = along[:, 0] / np.linalg.norm(along[:, 0], axis=1)[:, None]
-    axes = np.stack([first, np.cross(normal, first), normal], axis=1)
-    s, r = (np.einsum("fij,nfj->nfi", axes, end[:, None] - corners[:, 0]) for end in (source, receiver))
-    (flat_s, high_s), (flat_r, high_r) = ((x[..., :2], np.abs(x[..., 2:])) for x in (s, r))
-    p = (flat_s * high_r + flat_r * high_s) / np.maximum(high_s + high_r, _TINY)
-    for _ in range(_STEPS):
-        slope, bend = np.zeros_like(p), np.zeros((*p.shape, 2))
-        for flat, high, w in ((flat_s, high_s, 1.0), (flat_r, high_r, weight[..., None])):
-            q = p - flat
-            d = np.maximum(np.sqrt(np.sum(q * q, axis=-1, keepdims=True) + high**2), _TINY)
-            slope = slope + w * q / d
-            bend = bend + (w / d)[..., None] * (np.eye(2) - q[..., :, None] * q[..., None, :] / d[..., None] ** 2)
-        det = np.maximum(bend[..., 0, 0] * bend[..., 1, 1] - bend[..., 0, 1] ** 2, _TINY)
-        x = bend[..., 1, 1] * slope[..., 0] - bend[..., 0, 1] * slope[..., 1]
-        y = bend[..., 0, 0] * slope[..., 1] - bend[..., 0, 1] * slope[..., 0]
-        p = p - np.stack([x, y], axis=-1) / det[..., None]
-    places = corners[:, 0] + np.einsum("nfi,fij->nfj", p, axes[:, :2])
+    high_s, high_r = (np.einsum("nfi,fi->nf", end[:, None] - corners[:, 0], normal) for end in (source, receiver))
+    # The shortest way meets the face on the line between the feet of both ends.
+    foot = source[:, None] - high_s[..., None] * normal
+    step = receiver[:, None] - high_r[..., None] * normal - foot
+    apart = np.linalg.norm(step, axis=2)
+    place = _on_line(np.zeros_like(apart), np.abs(high_s), apart, np.abs(high_r), weight)
+    places = foot + (place / np.maximum(apart, _TINY))[..., None] * step
     inward = np.cross(normal[:, None], along)
     inside = np.all(np.einsum("fki,nfki->nfk", inward, places[:, :, None] - corners) >= 0.0, axis=2)
     return np.where(inside[..., None], places, np.nan)

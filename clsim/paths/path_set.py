@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeVar
@@ -13,16 +13,31 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats, as_count, as_floats, as_number, read_only
 from clsim.errors import InputError, counted, old_names
-from clsim.paths.arrivals import Kinematics, slices_of
 from clsim.paths.channel import ChannelBand, ChannelPaths, ChannelTaps, DelayDoppler, channel_paths, channel_taps
 from clsim.paths.family import SPECULAR, TRANSMISSION, PairPaths, PathFamily
 from clsim.paths.path_table import PathTable, paths_page
+from clsim.paths.response import Kinematics, slices_of
 from clsim.pictures.view_page import html_table, inline_page
 from clsim.scene.scene import Scene, known_until
 
 Integers = NDArray[np.signedinteger[Any]]
 
 _Number = TypeVar("_Number", bound=np.number[Any])
+
+
+def _stacked(columns: list[NDArray[_Number]]) -> NDArray[_Number]:
+    """Stack columns (paths,) or (paths, N), the latter filled up with -1; a single one is no copy."""
+    if len(columns) == 1:
+        return columns[0]
+    if columns[0].ndim == 2:
+        width = max(column.shape[1] for column in columns)
+        columns = [np.pad(c, ((0, 0), (0, width - c.shape[1])), constant_values=-1) for c in columns]
+    return read_only(np.concatenate(columns))
+
+
+def _column(of: Callable[[PathFamily], NDArray[_Number]]) -> cached_property[NDArray[_Number]]:
+    """Make the column of a set from that of each of its families."""
+    return cached_property(lambda paths: _stacked([of(family) for family in paths.families]))
 
 
 @old_names("0.3", heard_by="at_receiver")
@@ -64,39 +79,18 @@ class PathSet:
         for i, family in enumerate(self.families):
             if family.scene is not self.scene:
                 raise InputError(f"families[{i}]", "must hold paths of the same scene, but is of another one")
+            family.check()
 
     def __len__(self) -> int:
         return sum(map(len, self.families))
 
-    @cached_property
-    def source(self) -> NDArray[np.int32]:
-        """Index of each path's source."""
-        return _joined([family.source for family in self.families])
-
-    @cached_property
-    def receiver(self) -> NDArray[np.int32]:
-        """Index of each path's receiver."""
-        return _joined([family.receiver for family in self.families])
-
-    @cached_property
-    def order(self) -> NDArray[np.int32]:
-        """Number of interactions of each path."""
-        return _joined([family.order for family in self.families])
-
-    @cached_property
-    def start(self) -> Floats:
-        """Time from which each path is active, s."""
-        return _joined([family.start for family in self.families])
-
-    @cached_property
-    def end(self) -> Floats:
-        """Time until which each path is active, s."""
-        return _joined([family.end for family in self.families])
-
-    @cached_property
-    def interactions(self) -> Integers:
-        """What happens on each path's way."""
-        return _stacked([family.interactions for family in self.families])
+    source = _column(lambda family: family.source)
+    receiver = _column(lambda family: family.receiver)
+    order = _column(lambda family: family.order)
+    start = _column(lambda family: family.start)
+    end = _column(lambda family: family.end)
+    interactions = _column(lambda family: family.interactions)
+    walls = _column(lambda family: family.walls)
 
     @cached_property
     def objects(self) -> Integers:
@@ -108,11 +102,6 @@ class PathSet:
             found.append(family.objects + first * other if other.any() else family.objects)
             first += len(family.object_names)
         return _stacked(found)
-
-    @cached_property
-    def walls(self) -> Integers:
-        """Walls that each path meets."""
-        return _stacked([family.walls for family in self.families])
 
     @property
     def object_names(self) -> tuple[str, ...]:
@@ -352,17 +341,3 @@ class PathSet:
             found[rows, : vertices_of.shape[1]] = vertices_of
         found[~((self.start <= time) & (time < self.end))] = np.nan
         return found
-
-
-def _joined(columns: list[NDArray[_Number]]) -> NDArray[_Number]:
-    """Return columns (paths,) one after the other; a single one is no copy."""
-    return columns[0] if len(columns) == 1 else read_only(np.concatenate(columns))
-
-
-def _stacked(columns: list[Integers]) -> Integers:
-    """Return columns (paths, N) below each other, filled up with -1; a single one is no copy."""
-    if len(columns) == 1:
-        return columns[0]
-    width = max(column.shape[1] for column in columns)
-    filled = [np.pad(c, ((0, 0), (0, width - c.shape[1])), constant_values=-1) for c in columns]
-    return read_only(np.concatenate(filled))

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, Rows
-from clsim.paths.arrivals import Arrivals, Kinematics
+from clsim.paths.response import Arrivals, Kinematics
 from clsim.scene.air import Air
 from clsim.scene.fluctuation import Fluctuation
 from clsim.scene.motion.motion import Motion
@@ -93,32 +93,6 @@ class LegTable(Protocol):
         """Bends of paths, arguments as for `leave`: shares (..., K) from 0 to 1, and heights (..., K), m."""
 
 
-class Medium(Protocol):
-    """What sound travels in."""
-
-    @property
-    def slowest(self) -> float:
-        """Bound on the speed of sound from below, in any direction, m/s."""
-
-    @property
-    def fastest(self) -> float:
-        """Bound on the speed of sound from above, in any direction, m/s."""
-
-    @property
-    def fluctuation(self) -> Fluctuation | None:
-        """Noise of delays."""
-
-    @property
-    def wind(self) -> tuple[float, float, float] | None:
-        """Velocity of the air, m/s; None where it rests."""
-
-    def means(self, leg_table: LegTable, p: Any, t: Any, start: Floats) -> Floats | None:
-        """Return means (..., terms) of what it depends on along ways, arguments as for `Ways.leave`; or None."""
-
-    def passage(self, length: Floats, apart: Floats, means: Floats | None = None) -> Passage:
-        """Compute what it makes of paths of lengths (...), m, between ends apart (..., 3), m, with `means` along."""
-
-
 @dataclass(frozen=True, slots=True)
 class UniformAir:
     """Air of one speed of sound, m/s, that rests or moves at one velocity (3,), m/s, everywhere.
@@ -138,19 +112,19 @@ class UniformAir:
     @property
     def slowest(self) -> float:
         """The speed against the wind."""
-        return self.speed_of_sound - (0.0 if self.wind is None else math.hypot(*self.wind))
+        return self.speed_of_sound - math.hypot(*(self.wind or ()))
 
     @property
     def fastest(self) -> float:
         """The speed with the wind."""
-        return self.speed_of_sound + (0.0 if self.wind is None else math.hypot(*self.wind))
+        return self.speed_of_sound + math.hypot(*(self.wind or ()))
 
-    def means(self, leg_table: LegTable, p: Any, t: Any, start: Floats) -> None:
-        """Return nothing: it is the same everywhere."""
-        return
+    def means(self, leg_table: LegTable, p: Any, t: Any, start: Floats) -> Floats | None:
+        """Return None: it is the same everywhere."""
+        return None
 
     def passage(self, length: Floats, apart: Floats, means: Floats | None = None) -> Passage:
-        """Return length over speed; in wind the positive root, and its derivatives."""
+        """Compute what it makes of paths of lengths (...) between ends apart (..., 3), m."""
         return _passage(self.speed_of_sound, self.wind, length, apart)
 
 
@@ -169,14 +143,17 @@ class LayeredAir:
     wind: tuple[float, float, float] | None  # as of `UniformAir`
     fluctuation: Fluctuation | None  # likewise
 
-    def means(self, leg_table: LegTable, p: Any, t: Any, start: Floats) -> Floats:
-        """Return means (..., terms) of Chebyshev polynomials of the height."""
+    def means(self, leg_table: LegTable, p: Any, t: Any, start: Floats) -> Floats | None:
+        """Return means (..., terms) of Chebyshev polynomials of the height along ways."""
         return means_along(*leg_table.bends(p, t, start), self.extent, len(self.slowness))
 
     def passage(self, length: Floats, apart: Floats, means: Floats | None = None) -> Passage:
         """Return length times mean slowness; in wind as of `UniformAir`, at the mean speed."""
         assert means is not None
         return _passage(1.0 / (means @ np.array(self.slowness)), self.wind, length, apart)
+
+
+Medium = UniformAir | LayeredAir
 
 
 def _passage(c: float | Floats, wind: tuple[float, float, float] | None, length: Floats, apart: Floats) -> Passage:
@@ -200,12 +177,9 @@ class SpeedRange:
     def delay_bounds(
         self, length: Floats, slack: Floats | float, source_speed: Floats | float
     ) -> tuple[Floats, Floats]:
-        """Return bounds (n,) on the delays of ways that are `length` (n,) m long within `slack`, s.
+        """Return bounds (n,) on the delays of ways, s, that have a length (n,), m, at some instant of reception.
 
-        Shapes: source_speed (n,) m/s.
-        length: of the ways at some instant of reception, with source and receiver where they are then, m.
-        slack: by how much both ends may be off, together, at the times of reception that matter, m.
-        source_speed: largest speed of the source, m/s: it was elsewhere at emission by so much times the delay.
+        Both ends may be off by `slack`, m, together, and the source at emission by its largest speed times the delay.
         """
         low = np.maximum(length - slack, 0.0) / (self.fastest + source_speed)
         high = (length + slack) / (self.slowest - source_speed)
@@ -223,14 +197,13 @@ class SpeedRange:
 
 
 @lru_cache(maxsize=256)
-def medium_of(air: Air, frequency: float) -> UniformAir | LayeredAir:
+def medium_of(air: Air, frequency: float) -> Medium:
     """Medium of a scene's air for sound of a frequency, Hz."""
     if not air.layers:
         return UniformAir(air.speed_at(frequency), air.wind, air.fluctuation)
     assert air.extent is not None
     slowness = air.by_height(lambda layer: 1.0 / layer.speed_at(frequency))
-    fastest = max(layer.speed_at(frequency) for layer in air.layers)
-    fastest += 0.0 if air.wind is None else math.hypot(*air.wind)
+    fastest = max(layer.speed_at(frequency) for layer in air.layers) + math.hypot(*(air.wind or ()))
     return LayeredAir(
         tuple(slowness.tolist()), air.extent, (1.0 - _BEYOND_NODES) * air.slowest, (1.0 + _BEYOND_NODES) * fastest,
         air.wind, air.fluctuation,
@@ -254,13 +227,10 @@ def straight(start: Floats, stop: Floats) -> tuple[Floats, Floats]:
 
 
 def refine_delay(travel: Callable[[Rows, Rows, Floats], tuple[Floats, Floats]], delay: Floats, times: Floats) -> Floats:
-    """Return the delays (P, T) of ways of any kind at times of reception (T,), s, by Newton's method.
+    """Refine delays (P, T) at times of reception (T,), s, by Newton's method; slow sources have one solution.
 
-    Shapes: delay (P, T) s.
-    travel: takes paths p (n,), indices t (n,) of times and times of emission (n,), s; returns the travel times (n,), s,
-    and by how much these fall per second as the source moves on, the Mach number (n,) towards the way. At first p and t
-    are slices of all, and n is (P, T).
-    For a source below the speed of sound there is one solution.
+    `travel` takes paths p (n,), indices t (n,) of times and times of emission (n,), s, at first slices of all and
+    (P, T). It returns travel times (n,), s, and Mach numbers (n,) of the source towards the way.
     """
     delay = np.array(delay)
     p: Any = slice(None)  # all at first
@@ -283,9 +253,8 @@ def arrivals_by(
     mirrored_to: Callable[[Floats], LegTable], medium: Medium, ends: tuple[Motion, Motion], times: Floats,
     kinematics: Kinematics,
 ) -> Arrivals:  # fmt: skip
-    """Arrivals of paths between one source and one receiver.
+    """Arrivals of paths between one source and one receiver at times (T,), s.
 
-    Shapes: times (T,) s.
     The delay solves ``delay = travel time from x_s(t - delay) to x_r(t)``. A point source of the linear wave equation
     is received as ``s(t - delay) / (d (1 - M))``, M its Mach number along the way at emission (Morse and Ingard,
     Theoretical Acoustics, 1968, section 11.2); d is the length of the way along the wavefront's normal: less in wind.
@@ -374,12 +343,11 @@ def contract_delay(
 
 
 class Folds:
-    """Heights along paths by walls, whatever the places of their ends.
+    """Heights along paths by walls (P, N), whatever the places of their ends.
 
     Of the unfolded straight line, leg k is seen in the room from the source mirrored by the first k walls to the
     receiver mirrored back by the others; its height is linear in the share of the way, and both legs at a wall agree
     where it is met. Walls that stand upright bend no height.
-    Shapes: walls (P, N).
     """
 
     def __init__(self, planes: tuple[Floats, Floats], walls: NDArray[np.signedinteger[Any]]) -> None:

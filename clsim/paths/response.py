@@ -1,4 +1,4 @@
-"""What air, walls and directivities make of every frequency along paths, in float64: the definition of right.
+"""Arrivals of paths at any time, and what air, walls and directivities make of every frequency along them, in float64.
 
 The OpenCL gains (``response.h``) are the small twin of this file.
 """
@@ -6,15 +6,15 @@ The OpenCL gains (``response.h``) are the small twin of this file.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Complexes, Floats
+from clsim.arrays import Complexes, Floats, as_choice
 from clsim.errors import InputError
 from clsim.numerics.quaternions import rotate
-from clsim.paths.arrivals import Arrivals
 from clsim.scene.air import Air, coefficients
 from clsim.scene.directivity.directivity import ChannelDirectivity, Directivity
 from clsim.scene.directivity.patterns import Omni
@@ -24,53 +24,94 @@ from clsim.scene.scene import Scene
 
 Walls = NDArray[np.signedinteger[Any]]
 
-
 NEPERS = np.log(10.0) / 20.0  # in one dB
 _GRAZING = 1e-9  # least cosine of an angle of incidence
+_MACH_EXPONENT = {"wave-equation": 1, "static": 0, "convective": 2}
+_AT_A_TIME = 16384  # arrivals of paths at times that are computed at a time, where they are many
+
+
+@dataclass(frozen=True, slots=True)
+class Kinematics:
+    """Motion while sound is on its way, and how the source's motion changes the amplitude; as in `render`."""
+
+    motion: str = "retarded"
+    amplitude: str = "wave-equation"
+
+    def __post_init__(self) -> None:
+        as_choice("motion", self.motion, ("retarded", "quasi-static"))
+        as_choice("amplitude", self.amplitude, tuple(_MACH_EXPONENT))
+
+    @property
+    def retarded(self) -> bool:
+        """Whether everything is where it was when the sound passed, not where it is at reception."""
+        return self.motion == "retarded"
+
+    @property
+    def exponent(self) -> int:
+        """Exponent of the Doppler factor in the amplitude."""
+        return _MACH_EXPONENT[self.amplitude]
+
+
+RETARDED = Kinematics()
+QUASI_STATIC = Kinematics("quasi-static")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrivals:
+    """What P paths bring at T times, each array (P, T) or (P, T, 3)."""
+
+    delay: Floats  # (P, T) from emission to reception, s
+    delay_rate: Floats  # (P, T) its derivative by the time of reception; the Doppler factor is ``1 - delay_rate``
+    # (P, T, 3) unit vectors: from the real source along the path, and from the receiver back along it; in wind
+    # the normals of the wavefront.
+    departure: Floats
+    arrival: Floats  # likewise
+    length: Floats  # (P, T) of the path, over which pressure falls, m
+    through: Floats  # (P, T) of the air that it passes, m: the same where the air rests
+    means: Floats | None  # (P, T, terms) means of polynomials of the height along it, where the air depends on that
+    emission_time: Floats  # (P, T) when it was emitted, s
+    mach_factor: Floats  # (P, T) factor of the amplitude by the source's motion
+    frequency_ratio: Floats  # (P, T) frequency on the way over that emitted: ``1 / (1 - M)``
+    # (P, T, ...) quantities that only responses of a kind of path need, by name.
+    more: dict[str, Floats] = field(default_factory=dict)
+
+    def part(self, rows: NDArray[np.int64], times: slice | NDArray[np.int64] = slice(None)) -> Self:
+        """Arrivals of some of the paths at some of the times; of rows and times (n, 1) each path at its own."""
+        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "more"}
+        some: dict[str, Any] = {name: None if x is None else x[rows, times] for name, x in columns.items()}
+        return replace(self, **some, more={name: x[rows, times] for name, x in self.more.items()})
+
+
+def slices_of(times: int, paths: int) -> list[slice]:
+    """Return slices of so many times that the arrivals of so many paths take little memory."""
+    step = max(1, _AT_A_TIME // max(paths, 1))
+    return [slice(i, i + step) for i in range(0, times, step)]
 
 
 class SceneResponse:
-    """What air, walls and transducers of a scene do at some frequencies: what responses of all paths are made of.
+    """What air, walls and transducers of a scene do at frequencies (F,), Hz: received over emitted pressure.
 
-    A response is received over emitted pressure by frequency, without the delay; a delay tau would be ``exp(-2j pi f
-    tau)``.
-
-    Shapes: frequencies (F,) Hz; left_out (F,) absorption of the air that is rendered otherwise, 1/m (see `Tilt`).
-
-    Attributes
-    ----------
-    frequencies : ndarray (F,)
-        The same.
-    nepers : ndarray (F,)
-        Absorption of the air, of the amplitude, 1/m; half way up where it depends on the height.
-    least_nepers, most_nepers : ndarray (F,)
-        Bounds of it over all heights, 1/m.
-    angular : ndarray (walls + 1,) bool
-        Walls whose factor depends on the angle of incidence; False at the end, for -1, which is no wall.
-    dtype : numpy type
-        Type of the factors of walls and transducers: float64, or complex128 where one of the scene is complex.
-    disperses : bool
-        Whether the air gives phases.
-    surfaces : int
-        Number of walls and faces, at which begin the numbers of those that let sound pass, see `Scene.materials`.
-    panels : ndarray (surfaces,) bool
-        Walls that let sound pass.
+    Responses leave out the delay, which would be ``exp(-2j pi f tau)``, and the absorption of the air that is rendered
+    otherwise, `left_out` (F,), 1/m (see `Tilt`).
     """
 
     def __init__(self, scene: Scene, source: int, frequencies: Floats, left_out: Floats | float = 0.0) -> None:
         self._scene, self.frequencies, self.disperses = scene, frequencies, scene.air.dispersion
         self._centre, self._layers = scene.sources[source].emitted.centre_frequency, scene.air.layers
         materials = self._materials = scene.materials
+        # Number of walls and faces, at which begin the numbers of those that let sound pass, see `Scene.materials`.
         self.surfaces = len(materials) // (2 if scene.panels else 1)
-        self.panels: NDArray[np.bool_] = np.isin(np.arange(self.surfaces), scene.panels)
+        self.panels: NDArray[np.bool_] = np.isin(np.arange(self.surfaces), scene.panels)  # walls that let sound pass
+        # (F,) absorption of the air, 1/m; half way up where it depends on the height, with bounds over all heights.
         self.nepers: Floats = scene.air.absorption_at(frequencies) * NEPERS - left_out
         layers = [layer.absorption_at(frequencies) * NEPERS for layer in scene.air.layers]
         self.least_nepers, self.most_nepers = self.nepers, self.nepers
         if layers:
             self._by_height = coefficients(np.array(layers))
             self.least_nepers, self.most_nepers = 0.99 * np.min(layers, axis=0), 1.01 * np.max(layers, axis=0)
+        # (walls + 1,) walls whose factor depends on the angle of incidence; False at the end, for -1, which is none.
         self.angular: NDArray[np.bool_] = np.array([*(m.depends_on_angle for m in materials), False])
-        self.dtype: Any = np.complex128 if is_complex(scene) else np.float64
+        self.dtype: Any = np.complex128 if is_complex(scene) else np.float64  # of factors of walls and transducers
         self._factors = np.ones((len(materials) + 1, len(frequencies)), dtype=self.dtype)
         known = {id(material): i for i, material in enumerate(dict.fromkeys(materials))}
         self._alike = np.array([*(known[id(m)] for m in materials), len(known)], dtype=np.int64)
@@ -192,11 +233,8 @@ class SceneResponse:
 
 def is_complex(scene: Scene) -> bool:
     """Test if any wall or directivity of a scene has a phase."""
-    directivities = [
-        *(source.directivity for source in scene.sources),
-        *(receiver.directivity for receiver in scene.receivers),
-    ]
-    return any(m.is_complex for m in scene.materials) or any(d.is_complex for d in directivities)
+    parts: tuple[Any, ...] = (*scene.sources, *scene.receivers)
+    return any(m.is_complex for m in scene.materials) or any(end.directivity.is_complex for end in parts)
 
 
 def to_transducer_frame(orientation: Callable[[Floats], Floats], times: Floats, directions: Floats) -> Floats:
@@ -213,10 +251,7 @@ def directivity_gain(
 
 
 def covered(frequencies: Floats, thing: Material | Directivity) -> Floats:
-    """Return the frequencies nearest to given ones that a material or a directivity covers.
-
-    Where a signal is more than next to nothing they are the same: plans see to that.
-    """
+    """Return the nearest frequencies that a thing covers; plans see to it that the signal has no others."""
     return np.asarray(np.clip(frequencies, *thing.band))
 
 
@@ -224,10 +259,10 @@ def check_band_coverage(scene: Scene, sources: Iterable[int], low: float, high: 
     """Check that materials and the directivities of receivers and some sources cover a band."""
     directivities = [(f"sources[{i}]", scene.sources[i].directivity) for i in sources]
     directivities += [(f"receivers[{i}]", receiver.directivity) for i, receiver in enumerate(scene.receivers)]
-    for field, directivity in directivities:
+    for end, directivity in directivities:
         if not (directivity.band[0] <= low and high <= directivity.band[1]):
             raise InputError(
-                f"{field}.directivity",
+                f"{end}.directivity",
                 f"must cover {what}, {low:.0f} to {high:.0f} Hz, but covers "
                 f'{directivity.band[0]:.6g} to {directivity.band[1]:.6g} Hz; give more of it, or say outside="hold"',
             )

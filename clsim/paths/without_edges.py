@@ -35,9 +35,7 @@ _MOST_ECHOES = 4096  # then
 
 
 def warn_without_edges(paths: PathSet, max_order: int, find: Callable[..., PathSet]) -> None:
-    """Warn once of what is missing without edges: of the field of edges near paths, or else of jumps at edges.
-
-    find: `find_paths`, by which the edges' own paths are found.
+    """Warn once of what is missing without edges: their field near paths, as `find` finds it, or else jumps at edges.
 
     Both are looked for at the first receivers only, so that many cost no more. The field of edges is that of the room
     and of the bodies nearest to the lines of sight. Where some are left out, or all, as in rooms with many edges, faces

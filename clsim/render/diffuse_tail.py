@@ -15,7 +15,6 @@ from clsim.errors import DeviceError
 from clsim.numerics.blas import with_blas_threads
 from clsim.opencl.device import find_device
 from clsim.opencl.launch import Scratch, compiler_of, upload, work
-from clsim.paths.arrivals import MACH_EXPONENT
 from clsim.render.contributions import Stateless, digest_of
 from clsim.render.opencl.batches import CPU_LAYOUT, GPU_LAYOUT
 from clsim.render.plan import Plan
@@ -244,7 +243,7 @@ class SourceSignals:
         self.source, self.tail = source, tail
         self._filters = plan.source_filters[source]
         self._end, self._air = of_scene.paths.scene.sources[source], of_scene.paths.scene.air
-        self._exponent = MACH_EXPONENT[plan.options.amplitude]
+        self._exponent = of_scene.kinematics.exponent
         self._rate = plan.sampling_rate
         self.moves = not is_static(self._end, turning=tail.zones.beams)
         highest = self.highest = min(_SPARE * self._end.emitted.band()[1], _HIGHEST * self._rate)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
 from clsim.numerics.convolution import low_pass_between
-from clsim.paths.impulse_response import ImpulseResponse
+from clsim.paths.channel import ImpulseResponse
 from clsim.render.baseband import WIDEST_SUBBLOCK, Baseband, half_band
 from clsim.render.contributions import digest_of
 from clsim.render.interpolator import Bandlimited, Bank

@@ -15,7 +15,7 @@ from clsim.arrays import Complexes, Floats
 from clsim.errors import InputError, warn
 from clsim.numerics.band_filters import magnitudes
 from clsim.numerics.convolution import convolved, low_pass_between
-from clsim.paths.impulse_response import ImpulseResponse
+from clsim.paths.channel import ImpulseResponse
 from clsim.paths.response import check_band_coverage
 from clsim.render.contributions import digest_of
 from clsim.render.interpolator import Bandlimited, Bank, Interpolator

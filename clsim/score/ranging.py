@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats, as_choice, as_index, as_number, read_only, short_repr, texts
 from clsim.errors import InputError, check_packages, check_pictures, counted
-from clsim.paths.arrivals import Kinematics
 from clsim.paths.ground_truth import in_sight, reception_times
 from clsim.paths.legs.legs import direct_paths
 from clsim.paths.path_set import PathSet
+from clsim.paths.response import Kinematics
 from clsim.pictures.view_page import html_table
 from clsim.recording import Recording, as_recording
 from clsim.scene.ends import Receiver

@@ -14,9 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from clsim.arrays import Complexes, Floats
 from clsim.numerics.band_filters import chebyshev_points, interpolation
 from clsim.numerics.quaternions import quaternion_product
-from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.family import PairPaths
-from clsim.paths.response import SceneResponse, covered, to_transducer_frame
+from clsim.paths.response import Arrivals, Kinematics, SceneResponse, covered, to_transducer_frame
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.ends import Receiver
 from clsim.scene.material.material import Material

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
-from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.family import PairPaths, PathFamily, Rows
+from clsim.paths.response import Arrivals, Kinematics
 from clsim.scene.directivity.patterns import Omni
 from clsim.sensitivity.displaced import TangentResponse
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
-from clsim.paths.arrivals import Arrivals
 from clsim.paths.family import PairPaths, PathFamily
 from clsim.paths.path_set import PathSet
+from clsim.paths.response import Arrivals
 from clsim.render.methods.per_sample import PathSum
 from clsim.render.options import RenderOptions
 from clsim.render.plan import BLOCKS, Allocation, Plan, chunk_of

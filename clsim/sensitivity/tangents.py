@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
-from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.family import PairPaths, PathFamily, Rows
-from clsim.paths.response import NEPERS, SceneResponse
+from clsim.paths.response import NEPERS, Arrivals, Kinematics, SceneResponse
 from clsim.scene.scene import Scene
 from clsim.sensitivity.displaced import Knot, TangentResponse, members_of
 from clsim.sensitivity.images import Images, in_closed_form, is_simple, turned_back

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Complexes, Floats
+from clsim.arrays import Complexes, Floats, firsts, ranges
 from clsim.numerics.band_filters import chebyshev_points
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 
@@ -198,21 +198,13 @@ class Sample:
         weight = np.sqrt(np.minimum(count * energy, 1.0) * self.loudness()[:, None]).max(axis=0)
         return np.asarray(np.maximum(weight, _QUIETEST))
 
-    def frames(self, which: slice) -> Sample:
-        ends = np.append(self.first, len(self.responses))[1:]
-        chosen = list(zip(self.first[which].tolist(), ends[which].tolist(), strict=True))
-        firsts = np.cumsum([0, *(end - begin for begin, end in chosen)])[:-1]
-        rows = np.concatenate([np.arange(begin, end) for begin, end in chosen])
-        return Sample(self.band, self.responses[rows], firsts, self.beyond[rows])
+    def frames(self, which: slice | NDArray[np.int64]) -> Sample:
+        begin, end = self.first[which], np.append(self.first[1:], len(self.responses))[which]
+        rows = ranges(begin, end)[1]
+        return Sample(self.band, self.responses[rows], firsts(end - begin)[:-1], self.beyond[rows])
 
     def with_frames(self, other: Sample, which: NDArray[np.int64]) -> Sample:
-        rows, first, ends = [self.responses], [self.first], [*other.first[1:].tolist(), len(other.responses)]
-        count, beyond = len(self.responses), [self.beyond]
-        for frame in which.tolist():
-            part = other.responses[other.first[frame] : ends[frame]]
-            rows.append(part)
-            beyond.append(other.beyond[other.first[frame] : ends[frame]])
-            first.append(np.array([count]))
-            count += len(part)
-        together: Any = np.concatenate(rows)
-        return Sample(self.band, together, np.concatenate(first), np.concatenate(beyond))
+        more = other.frames(which)
+        together: Any = np.concatenate([self.responses, more.responses])
+        first = np.append(self.first, len(self.responses) + more.first)
+        return Sample(self.band, together, first, np.append(self.beyond, more.beyond))

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from clsim.arrays import Floats
+from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.response import SceneResponse, directivity_gain
 from clsim.scene.directivity.directivity import Directivity
 from clsim.scene.directivity.patterns import Omni
@@ -24,10 +25,7 @@ _SHARE = 1e-4  # of the signal's energy at either end, which is not looked at
 
 
 def pruned(tracks: SceneTracks, below_db: float, until: float) -> tuple[SceneTracks, str]:
-    """Return the tracks of the paths that may matter, and what is said of the others.
-
-    below_db: level relative to the strongest arrival at the same receiver; a path is left out if a bound of its gain
-    stays below it from 0 s to `until`.
+    """Return the tracks of paths whose bounds reach a level of the strongest arrival by `until`, s, and a note.
 
     The bound of a gain is the product of spreading and air over the shortest distance that peak speeds allow within
     each quarter of a second (or 5 cm of motion, where that takes longer and no path comes or goes), of the reflection
@@ -96,9 +94,6 @@ def _peak(directivity: Directivity, frequencies: Floats, speed_of_sound: float) 
     """Return a bound of a directivity's gain in any direction, (F,)."""
     if isinstance(directivity, Omni):
         return np.ones(len(frequencies))
-    i = np.arange(_DIRECTIONS)
-    z, turn = 1.0 - 2.0 * (i + 0.5) / _DIRECTIONS, i * math.pi * (3.0 - math.sqrt(5.0))  # Fibonacci's spiral
-    flat = np.sqrt(1.0 - z**2)
-    towards = np.stack([z, flat * np.cos(turn), flat * np.sin(turn)], axis=1)  # dense along the axis, +x
-    gain = np.abs(directivity_gain(directivity, np.concatenate([np.eye(3)[:1], towards]), frequencies, speed_of_sound))
-    return np.asarray(_BETWEEN * np.broadcast_to(gain, (len(towards) + 1, len(frequencies))).max(axis=0))
+    towards = np.concatenate([np.eye(3)[:1], np.roll(fibonacci_sphere(_DIRECTIONS), 1, axis=1)])  # about the axis, +x
+    gain = np.abs(directivity_gain(directivity, towards, frequencies, speed_of_sound))
+    return np.asarray(_BETWEEN * np.broadcast_to(gain, (len(towards), len(frequencies))).max(axis=0))

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
-from clsim.paths.arrivals import Arrivals
+from clsim.arrays import Floats, firsts, ranges
 from clsim.paths.family import PairPaths
-from clsim.paths.response import SceneResponse
+from clsim.paths.response import Arrivals, SceneResponse
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.ends import Receiver, Source
@@ -61,9 +60,8 @@ class Picked:
     whole: bool = False  # all paths of each instant, whose level is that of the responses
 
     def thinned(self, every: int) -> Picked:
-        spans = list(pairwise(self.first))[::every]
-        rows = np.concatenate([np.arange(begin, end) for begin, end in spans])
-        first = tuple(np.cumsum([0, *(end - begin for begin, end in spans)]).tolist())
+        begin, end = np.array(self.first[:-1])[::every], np.array(self.first[1:])[::every]
+        rows, first = ranges(begin, end)[1], tuple(firsts(end - begin).tolist())
         changed: dict[str, Any] = {"scale": self.scale[rows], "first": first}
         if self.times.ndim == 1:
             at = np.arange(len(self.times))[::every]
@@ -158,8 +156,7 @@ class Draw:
         spread = Band(band.low, band.high, even, np.ones((1, count)) / count)
         rows = few.responses(spread).responses
         energy = np.sum(np.abs(np.fft.ifft(rows * (level * np.hanning(count)), axis=1)) ** 2, axis=0)
-        # The transform goes round: time begins opposite to where most of the energy is, which is late rather than
-        # early.
+        # The transform goes round: time begins opposite to where most of the energy is, rather late than early.
         turns = np.angle(energy @ np.exp(2j * math.pi * np.arange(count) / count)) / (2.0 * math.pi)
         begin = round((turns + (turns < -0.25) - 0.5) * count)
         below = np.cumsum(np.roll(energy, -begin)) / max(float(energy.sum()), 1e-300)

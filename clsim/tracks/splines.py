@@ -44,13 +44,11 @@ def checked_indices(name: str, values: Any, count: int) -> NDArray[np.int64]:
 
 def audible_intervals(audible: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
     """Return path, first and one past last sample of every interval in which a path is active."""
-    found = []
-    for p, row in enumerate(audible):
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))
-        for a, b in edges.reshape(-1, 2):
-            if b - a < 2:
-                raise InputError(f"delays[{p}][{a}]", "must be active for two samples or more, but is alone")
-            found.append((p, int(a), int(b)))
+    path, edge = np.nonzero(np.diff(np.pad(audible, ((0, 0), (1, 1)))))
+    found = list(zip(path[::2].tolist(), edge[::2].tolist(), edge[1::2].tolist(), strict=True))
+    for p, first, end in found:
+        if end - first < 2:
+            raise InputError(f"delays[{p}][{first}]", "must be active for two samples or more, but is alone")
     if not found:
         raise InputError("delays", "must hold at least one active path, but all are NaN")
     return found
@@ -127,15 +125,10 @@ def in_batches(items: Sequence[int], counts: Sequence[int]) -> Iterator[list[int
         yield batch
 
 
-# Source, receiver, and when each path begins and ends, s; splines by pair; sources; receivers; largest rate; end, s.
-FittedTracks = tuple[
-    list[tuple[int, int, Floats, Floats]], tuple[tuple[tuple[NDArray[np.int64], Any], ...], ...], int, tuple[str, ...],
-    float, float,
-]  # fmt: skip
-
-
-def fitted_tracks(times: Any, delays: Any, gains: Any, sources: Any, receivers: Any) -> FittedTracks:
-    """Fit tracks to samples; see `Tracks.from_samples`."""
+def fitted_tracks(
+    times: Any, delays: Any, gains: Any, sources: Any, receivers: Any
+) -> tuple[list[Any], dict[str, Any]]:
+    """Fit tracks to samples: source, receiver, starts and ends (s) of each pair, and the fields of `SampledTracks`."""
     times, delays, gains = checked_samples(times, delays, gains)
     s, r = (checked_indices(n, v, len(delays)) for n, v in (("sources", sources), ("receivers", receivers)))
     intervals = audible_intervals(np.isfinite(delays))
@@ -153,7 +146,10 @@ def fitted_tracks(times: Any, delays: Any, gains: Any, sources: Any, receivers: 
     names = tuple(f"receiver-{i}" for i in range(int(r.max()) + 1))
     # The slope at a sample bounds that between samples but for the spline's bend: 5 % cover it.
     bound = min(1.05 * largest, 0.99)
-    return pairs, tuple(splines), int(s.max()) + 1, names, bound, float(times[-1])
+    return pairs, {
+        "splines": tuple(splines), "source_count": int(s.max()) + 1, "receiver_names": names, "largest_rate": bound,
+        "end": float(times[-1]),
+    }  # fmt: skip
 
 
 TAPER_TERMS = 11  # of the odd polynomial of a taper

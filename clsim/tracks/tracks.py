@@ -13,16 +13,15 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats, short_repr
 from clsim.errors import InputError
-from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.family import PairPaths, PeakSpeeds
 from clsim.paths.path_set import PathSet
-from clsim.paths.response import SceneResponse
+from clsim.paths.response import Arrivals, Kinematics, SceneResponse
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.ends import Receiver
 from clsim.scene.motion.curves import CONTINUATION
 from clsim.scene.motion.trajectory import Trajectory
 from clsim.scene.scene import Scene
-from clsim.tracks.basis import Basis, flat_basis
+from clsim.tracks.basis import Basis
 from clsim.tracks.splines import DEFAULT_TRANSITION, Rows, Tapers, as_transition, fitted_tracks, in_batches
 
 _BESIDE = 1e-4  # s, to either side, between which the lateness of channels is taken to change evenly
@@ -81,48 +80,43 @@ class Tracks(ABC):
         """Names of the channels of each receiver."""
         return (("",),) * len(self.receiver_names)
 
-    @abstractmethod
     def evaluate(
         self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
     ) -> tuple[Floats, Floats, Floats]:
-        """Return delays, their derivatives and gains of a pair's paths or some of them.
+        """Return delays (P, T), s, rates and gains of a `pair`, as of `evaluate_together` with one pair.
 
         Parameters
         ----------
-        pair : int
-            Index of source and receiver, in `pairs`.
+        times, basis, rows, every
+            As of `evaluate_together`.
+        """
+        return self.evaluate_together([pair], times, basis, rows, every)[0]
+
+    @abstractmethod
+    def evaluate_together(
+        self, pairs: Sequence[int], times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
+    ) -> list[tuple[Floats, Floats, Floats]]:
+        """Return delays, their derivatives and gains of the paths of pairs, or of some that these have in common.
+
+        Parameters
+        ----------
+        pairs : sequence of int
+            Indices of source and receiver, in `pairs`, with the same `paths_of`.
         times : ndarray (T,)
             Times of reception, s.
         basis : Basis
             K functions of frequency of which responses are sums.
         rows : ndarray (P,) of int, optional
-            Paths of the pair; all of them when left out.
+            Paths of each pair; all of them when left out.
         every : int
             Gains are asked for at the first of so many times, and so on.
 
         Returns
         -------
-        delay : ndarray (P, T)
-            From emission to reception, s.
-        rate : ndarray (P, T)
-            Its derivative by the time of reception, s/s.
-        gains : ndarray (C, K, P, ceil(T / every))
-            Received over emitted pressure, by channels of the receiver and functions of the basis.
+        list of (ndarray (P, T), ndarray (P, T), ndarray (C, K, P, ceil(T / every)))
+            Of each pair delays from emission to reception, s, their derivatives by the time of reception, s/s, and
+            received over emitted pressure, by channels of the receiver and functions of the basis.
         """
-
-    def evaluate_together(
-        self, pairs: Sequence[int], times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
-    ) -> list[tuple[Floats, Floats, Floats]]:
-        """Return delays (P, T), s, rates and gains as of `evaluate`, of pairs of the same `paths_of`.
-
-        Parameters
-        ----------
-        pairs : sequence of int
-            Indices of source and receiver, in `pairs`.
-        times, basis, rows, every
-            As of `evaluate`.
-        """
-        return [self.evaluate(pair, times, basis, rows, every) for pair in pairs]
 
     def paths_of(self, pair: int) -> Any:
         """Return a key that pairs have in common whose paths are the same; `pair` is an index of `pairs`."""
@@ -140,13 +134,13 @@ class Tracks(ABC):
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
         """Return the largest speed of a `source` or its receivers, m/s, and that by a `max_rate` of delays, s/s."""
 
-    @abstractmethod
     def delay_range(self, pair: int, start: float, end: float) -> tuple[Floats, Floats]:
         """Return bounds (paths,), (paths,) on the delays of a `pair`'s paths received from `start` to `end`, s."""
+        return self.delay_ranges([pair], start, end)[0]
 
+    @abstractmethod
     def delay_ranges(self, pairs: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
-        """Return bounds (low, high) on the delays of the paths of `pairs`, as of `delay_range`, `start` to `end`, s."""
-        return [self.delay_range(pair, start, end) for pair in pairs]
+        """Return bounds (paths,), (paths,) on the delays of each of `pairs` received from `start` to `end`, s."""
 
     def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
         """Return a bound on delays from `start` to `end` of reception, s, of one `source` or all; 0 without paths."""
@@ -195,8 +189,9 @@ class Tracks(ABC):
         >>> clsim.render_tracks([tone], tracks, sampling_rate=48e3).pressure.shape
         (1, 48000)
         """
-        fitted = fitted_tracks(times, delays, gains, sources, receivers)
-        return SampledTracks(tuple(PairTracks(*pair) for pair in fitted[0]), *fitted[1:], as_transition(transition))
+        pairs, fitted = fitted_tracks(times, delays, gains, sources, receivers)
+        each = tuple(PairTracks(*pair) for pair in pairs)
+        return SampledTracks(each, **fitted, transition=as_transition(transition))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -263,11 +258,6 @@ class SceneTracks(Tracks):
         receiver = self.paths.scene.receivers[self.pairs[pair].receiver]
         return self.pair_paths[pair].family.costly or isinstance(receiver.directivity, ChannelDirectivity)
 
-    def evaluate(
-        self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
-    ) -> tuple[Floats, Floats, Floats]:
-        return self.evaluate_together([pair], times, basis, rows, every)[0]
-
     def evaluate_together(
         self, pairs: Sequence[int], times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
     ) -> list[tuple[Floats, Floats, Floats]]:
@@ -318,18 +308,13 @@ class SceneTracks(Tracks):
     def fastest(self, source: int, max_rate: float) -> tuple[float, float]:
         """Return the largest peak speed, of scatterers and bodies too, and what it would be at another rate."""
         v_s, v_r = float(self.speeds.source[source]), float(self.speeds.receiver.max())
-        surfaces = [s.peak_speeds()[1] for s in self.paths.scene.scatterers] + [
-            b.peak_speed for b in self.paths.scene.bodies
-        ]
-        v_b = max(surfaces, default=0.0)  # seen there and back
+        surfaces = [scatterer.peak_speeds()[1] for scatterer in self.scene.scatterers]
+        v_b = max([*surfaces, *(body.peak_speed for body in self.scene.bodies)], default=0.0)  # seen there and back
         together = v_s + v_r + 2.0 * v_b + max_rate * v_s
         if together == 0.0:
             return 0.0, 0.0
         most = max(v_s, v_r, v_b)
         return most, max_rate * self.paths.scene.air.slowest / together * most
-
-    def delay_range(self, pair: int, start: float, end: float) -> tuple[Floats, Floats]:
-        return self.delay_ranges([pair], start, end)[0]
 
     def delay_ranges(self, pairs: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
         clock_times = np.array([start, end])
@@ -373,10 +358,15 @@ class SampledTracks(Tracks):
 
     __repr__ = short_repr
 
-    def evaluate(
-        self, pair: int, times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
-    ) -> tuple[Floats, Floats, Floats]:
-        """Return the splines' values, one gain for all frequencies; outside its stretch a path goes on straight."""
+    def evaluate_together(
+        self, pairs: Sequence[int], times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
+    ) -> list[tuple[Floats, Floats, Floats]]:
+        which = slice(None) if rows is None else rows
+        found = (self._values(pair, times) for pair in pairs)
+        return [(delay[which], rate[which], gain[None, None, which, ::every]) for delay, rate, gain in found]
+
+    def _values(self, pair: int, times: Floats) -> tuple[Floats, Floats, Floats]:
+        """Values of splines, one gain for all frequencies; outside its stretch a path goes on straight."""
         shape = (len(self.pairs[pair]), len(times))
         delay, rate, gain = np.empty(shape), np.empty(shape), np.empty(shape)
         # The gain's slope goes on through the transition, and to the next node.
@@ -387,10 +377,7 @@ class SampledTracks(Tracks):
             delay[which] = values[:, :, 0].T + slopes[:, :, 0].T * (times - inside)
             rate[which] = slopes[:, :, 0].T
             gain[which] = values[:, :, 1].T + slopes[:, :, 1].T * np.clip(times - inside, -reach, reach)
-        gain = gain[:, ::every]
-        if rows is None:
-            return delay, rate, gain[None, None]
-        return delay[rows], rate[rows], gain[None, None, rows]
+        return delay, rate, gain
 
     def max_rate(self, source: int) -> float:
         return self.largest_rate
@@ -399,10 +386,10 @@ class SampledTracks(Tracks):
         """Return the speeds that change delays by as much in air of 343 m/s."""
         return 343.0 * self.largest_rate, 343.0 * max_rate
 
-    def delay_range(self, pair: int, start: float, end: float) -> tuple[Floats, Floats]:
-        delay = self.evaluate(pair, np.array([0.5 * (start + end)]), flat_basis(1.0))[0][:, 0]
-        slack = 0.5 * (end - start) * self.largest_rate
-        return delay - slack, delay + slack
+    def delay_ranges(self, pairs: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
+        middle, slack = np.array([0.5 * (start + end)]), 0.5 * (end - start) * self.largest_rate
+        delays = [self._values(pair, middle)[0][:, 0] for pair in pairs]
+        return [(delay - slack, delay + slack) for delay in delays]
 
     def first_end(self) -> tuple[float, str]:
         return self.end, "the samples"

@@ -1,6 +1,6 @@
 // Gains that change slowly: those of CELL_BLOCKS blocks from the nodes between such cells, by the polynomial of degree 4
 // through five of them. Cells lie in stretches of STRETCH blocks of a segment and take nodes of their own stretch only, so
-// that it does not matter which others are solved. The twin of `cell_polynomials` in render/opencl/block_polynomials.py.
+// that it does not matter which others are solved.
 
 #if DELAY_TERMS == 4
 #define CELL_BLOCKS 4  // as many as there are nodes in a GROUP: the second one of each stands between two cells

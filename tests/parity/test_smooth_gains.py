@@ -1,4 +1,4 @@
-"""Gains from every fourth node: the kernel against its twin, and against gains from every node."""
+"""Gains from every fourth node: against gains from every node."""
 
 import math
 import re
@@ -9,7 +9,6 @@ import pytest
 import clsim
 from clsim.opencl.launch import Launch
 from clsim.render.opencl import nodes
-from clsim.render.opencl.block_polynomials import cell_polynomials
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, OpenclEngine
 from clsim.render.planning import plan_render
 
@@ -46,22 +45,6 @@ def _asked(plan, monkeypatch: pytest.MonkeyPatch) -> list[float]:
         patched.setattr(Launch, "__call__", watched)
         OpenclEngine(plan).render(0, SEGMENT)
     return asked
-
-
-def test_twin_holds_quartics_but_for_their_fourth_power_in_a_block() -> None:
-    power = np.array([0.7, -0.3, 0.2, 0.05, -0.01])
-    at = np.arange(7.0)
-    gain = np.polynomial.polynomial.polyval(at, power)
-    t = np.linspace(-1.0, 1.0, 9)
-    for cell in range(6):
-        terms, error = cell_polynomials(gain, cell, 4)
-        for block in range(4):
-            place = cell + (block + 0.5 + 0.5 * t) / 4
-            wanted = np.polynomial.polynomial.polyval(place, power)
-            np.testing.assert_allclose(
-                np.polynomial.polynomial.polyval(t, terms[:, block]), wanted, atol=0.01 / 4096 * 1.01
-            )
-        assert error == pytest.approx(0.03 * 24 * 0.01)
 
 
 @pytest.mark.usefixtures("device")

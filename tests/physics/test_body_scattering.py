@@ -8,12 +8,11 @@ import pytest
 
 import clsim
 from clsim.numerics.quaternions import rotate
-from clsim.paths.arrivals import QUASI_STATIC, RETARDED
 from clsim.paths.chain import Chain
 from clsim.paths.legs.mirrors import Mirrors
 from clsim.paths.path_table import viewed
 from clsim.paths.propagation import UniformAir
-from clsim.paths.response import SceneResponse
+from clsim.paths.response import QUASI_STATIC, RETARDED, SceneResponse
 from clsim.paths.vertices.scatterer_paths import find_scattered
 from clsim.render.methods.static import pairs_at_rest
 

@@ -22,9 +22,9 @@ from moved_scenes import (
 )
 
 import clsim
-from clsim.paths.arrivals import RETARDED
 from clsim.paths.family import PairPaths
 from clsim.paths.path_set import PathSet
+from clsim.paths.response import RETARDED
 from clsim.render.options import RenderOptions
 from clsim.sensitivity.displaced import TangentResponse
 from clsim.sensitivity.linear_map import plan_of, received, representatives, scene_tracks

@@ -13,8 +13,7 @@ import pytest
 from scipy.special import eval_legendre, spherical_jn, spherical_yn
 
 import clsim
-from clsim.paths.arrivals import QUASI_STATIC
-from clsim.paths.response import SceneResponse
+from clsim.paths.response import QUASI_STATIC, SceneResponse
 
 C, RATE = 343.0, 192e3
 AIR = clsim.Air(speed_of_sound=C, absorption=False)

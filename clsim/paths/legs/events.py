@@ -86,15 +86,10 @@ def find_events(
     retarded: bool = True,
     rounds: int = _ROUNDS,
 ) -> Events:
-    """Return the events of paths by mirrors.
+    """Return the events of paths by mirrors (P, N) at times (T,), s, as if mirrors had no edges.
 
-    Shapes: walls (P, N); times (T,) s.
-
-    medium: what sound travels in; in wind all is seen from the air's own frame, where the law is the same.
-
-    retarded: whether all is where it was when the sound passed, or rests where it is at reception.
-
-    result: also of paths that are not there: what would be seen if mirrors had no edges.
+    In wind all is seen from the air's own frame, where the law is the same. All is where it was when the sound passed,
+    `retarded`, or rests where it is at reception.
 
     Where times are many and near to each other, events are looked for at every fourth of them first: quintic splines
     through these are where the others begin, and change no more than how many rounds that takes.
@@ -115,9 +110,10 @@ def find_events(
     coarse = search.surely_solved(walls, moments[few], rounds)
     found, left, _ = search.solved(walls, moments, _Known.between(coarse, moments, few), _FEW_ROUNDS)
     rows = np.flatnonzero(left > _FOUND)
-    again = search.surely_solved(walls[rows], moments, rounds) if len(rows) else None
-    for name in () if again is None else (f.name for f in fields(Events)):
-        getattr(found, name)[rows] = getattr(again, name)
+    if len(rows):
+        again = search.surely_solved(walls[rows], moments, rounds)
+        for field in fields(Events):
+            getattr(found, field.name)[rows] = getattr(again, field.name)
     return found
 
 
@@ -170,16 +166,12 @@ class _Search:
             motion: Any = tuple(end.part(rows) if hasattr(end, "part") else end for end in self.motion)
             search, some = replace(self, motion=motion, mixes=True), times[rows] if times.ndim > 1 else times
             again, _, strays[rows] = search.solved(walls[rows], some, None, more)
-            for name in (f.name for f in fields(Events)):
-                getattr(found, name)[rows] = getattr(again, name)
+            for field in fields(Events):
+                getattr(found, field.name)[rows] = getattr(again, field.name)
         return found
 
     def solved(
-        self,
-        walls: NDArray[np.signedinteger[Any]],
-        times: Floats,
-        known: _Known | None,
-        rounds: int,
+        self, walls: NDArray[np.signedinteger[Any]], times: Floats, known: _Known | None, rounds: int
     ) -> tuple[Events, Floats, Floats]:
         """Return the events of paths, and the last steps (P,) of times of emission, s, and of places on mirrors, m."""
         shape, retarded = (len(walls), times.shape[-1]), self.retarded

@@ -11,13 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import ByRow, Floats, read_only
-from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.chain import Chain
-from clsim.paths.family import DIFFRACTION, NONE, SPECULAR, TRANSMISSION, Instant
+from clsim.paths.family import (
+    DIFFRACTION,
+    NONE,
+    SPECULAR,
+    TRANSMISSION,
+    Columns,
+    Instant,
+    Integers,
+    Links,
+    Vertex,
+    in_chunks,
+    met_in_order,
+)
 from clsim.paths.legs.events import find_events
 from clsim.paths.legs.mirrors import Mirrors
-from clsim.paths.links import Columns, Integers, Links, Vertex, in_chunks, met_in_order
 from clsim.paths.propagation import Folds, UniformAir, arrivals_by, straight
+from clsim.paths.response import Arrivals, Kinematics
 from clsim.scene.scene import Scene
 
 _ROUNDING = 1e-9  # of shares of a path
@@ -43,11 +54,7 @@ class StaticLinks(Links):
         (source, receiver), now = self.motions, np.array([time])
         faces = self.chain.scene.room.faces
         planes = faces.normals, faces.offsets
-        if self.vertex is None and not kinematics.retarded:
-            emitted_at = source.position(np.full(len(self), time))
-        else:
-            found = self.chain.arrivals(self.rows, now, kinematics)
-            emitted_at = source.position(found.emission_time[:, 0])
+        emitted_at = source.position(self.solve(now, kinematics).emission_time[:, 0])
         receiver_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
         if self.vertex is None:
             through = self.chain.interactions[self.rows] == TRANSMISSION if self.chain.passes else None
@@ -59,11 +66,9 @@ class StaticLinks(Links):
         vertices = np.full((len(self), self.chain.objects.shape[1] + 2, 3), np.nan)
         for p, (walls, others) in enumerate(zip(before, after, strict=True)):
             n, m = int(np.sum(walls >= 0)), int(np.sum(others >= 0))
-            vertices[p, : n + 2] = there[p, : n + 2]
-            points = [place[p] for place in between if not np.isnan(place[p, 0])]
-            inner = len(points)
-            vertices[p, n + 2 : n + 2 + inner] = np.reshape(points, (inner, 3))
-            vertices[p, n + inner + 2 : n + inner + m + more + 3] = back[p, m + more :: -1]
+            points = [place[p : p + 1] for place in between if not np.isnan(place[p, 0])]
+            each = np.concatenate([there[p, : n + 2], *points, back[p, m + more :: -1]])
+            vertices[p, : len(each)] = each
         return vertices
 
     def lengths(self, source: Floats, receiver: Floats, times: Instant) -> Floats:
@@ -194,13 +199,10 @@ def path_vertices(
     planes: tuple[Floats, Floats], walls: NDArray[np.signedinteger[Any]], source: Floats, receiver: Floats,
     through: NDArray[np.bool_] | None = None,
 ) -> Floats:  # fmt: skip
-    """Return the corners of paths from their sources by their walls to a receiver.
+    """Return source, points of reflection and receiver (P, N + 2, 3) of paths by walls (P, N), NaN behind the receiver.
 
-    Shapes: walls, through (P, N); source, receiver (P, 3) m.
-    through: which walls paths pass straight through; all are then in the order in which they are met.
-    walls: walls of each path from the source's side, filled up with -1; those at right angles to each other, as in a
-    shoebox, may stand in another order than they are met in.
-    result: source, points of reflection, receiver, and NaN where a path has fewer walls.
+    Walls at right angles to each other, as in a shoebox, may stand in another order than they are met in. Where paths
+    pass straight `through` (P, N) some, all are in the order in which they are met.
     """
     normal, offset = planes
     if through is None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import ByRow, Floats, read_only
+from clsim.arrays import ByRow, Floats, by_value, read_only
 from clsim.numerics.quaternions import cross_product, rotate
 from clsim.scene.body import Body
 from clsim.scene.room.edges import Edges, find_edges
@@ -67,9 +67,8 @@ class Mirrors:
         )  # fmt: skip
 
     def planes(self, walls: Integers, now: Floats, event: Floats, place: Floats | None) -> Planes:
-        """Return mirrors as they are about the events in which sound meets them.
+        """Return mirrors (P,) as they are about the events (P, T) in which sound meets them, s, at places (P, T, 3).
 
-        Shapes: walls (P,); now (P, T) s; event (P, T) s; place (P, T, 3) m.
         A face n(t) x = h(t) that turns is taken as its tangent about the event, a plane of the constant normal n and
         the speed ``h' - n' x``, which is that of the body's own point there.
         """
@@ -78,12 +77,10 @@ class Mirrors:
         offset, speed = np.empty(event.shape), np.zeros(event.shape)
         normal[...] = np.where(met[:, None], self.normal[walls], 0.0)[:, None]
         offset[...] = np.where(met, self.offset[walls], 0.0)[:, None]
-        for body in np.unique(self.owner[walls[met]]).tolist():
-            if body == ROOM:
-                continue
-            mine = np.flatnonzero(met & (self.owner[walls] == body))
-            where = None if place is None else place[mine]
-            self._pose(self.bodies[body], walls[mine], now[mine], event[mine], where, (normal, offset, speed), mine)
+        for body, mine in by_value(np.where(met, self.owner[walls], ROOM)):
+            if body != ROOM:
+                where = None if place is None else place[mine]
+                self._pose(self.bodies[body], walls[mine], now[mine], event[mine], where, (normal, offset, speed), mine)
         return Planes(normal, offset, speed)
 
     def distances(self, walls: Integers, start: Floats, stop: Floats, times: Any) -> Floats:
@@ -139,9 +136,8 @@ class EdgeLines:
     @staticmethod
     def of(room: Room, bodies: Sequence[Body] = ()) -> EdgeLines:
         """Collect the edges of a room and of bodies."""
-        found = [room.edges()]
-        for body in bodies:
-            found.append(find_edges(body.mesh.walls, replace(body.mesh.faces, names=body.faces), None))
+        named = ((body.mesh.walls, replace(body.mesh.faces, names=body.faces)) for body in bodies)
+        found = [room.edges(), *(find_edges(walls, faces, None) for walls, faces in named)]
         first = np.cumsum([0, len(room.faces), *(len(body.mesh.faces) for body in bodies)])
         return EdgeLines(
             read_only(np.concatenate([edges.frames for edges in found])),
@@ -196,8 +192,7 @@ class EdgeLines:
         return across, out, along
 
     def _of_bodies(self, edge: Integers) -> list[tuple[int, NDArray[np.int64]]]:
-        owner = self.owner[edge]
-        return [(body, np.flatnonzero(owner == body)) for body in np.unique(owner).tolist() if body != ROOM]
+        return [(body, rows) for body, rows in by_value(self.owner[edge]) if body != ROOM]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,11 +30,8 @@ class Candidates:
     def joined(parts: list[Candidates]) -> Candidates:
         """Return the candidates of several parts of one order."""
         first = np.cumsum([0, *(len(p.sequence) for p in parts[:-1])])
-        return Candidates(
-            np.concatenate([p.sequence for p in parts]),
-            np.concatenate([p.row + f for p, f in zip(parts, first, strict=True)]),
-            np.concatenate([p.receiver for p in parts]),
-        )
+        row = np.concatenate([p.row + f for p, f in zip(parts, first, strict=True)])
+        return Candidates(np.concatenate([p.sequence for p in parts]), row, np.concatenate([p.receiver for p in parts]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,15 +79,10 @@ class _Beams(ByRow):
 
     @staticmethod
     def joined(parts: list[_Beams]) -> _Beams:
-        """Return the beams of several sets as one; rings of fewer corners repeat their last one."""
+        """Return the beams of several sets as one."""
         width = max(p.ring.shape[1] for p in parts)
-        fill = [np.minimum(np.arange(width), p.ring.shape[1] - 1) for p in parts]
-        return _Beams(
-            np.concatenate([p.centre for p in parts]),
-            np.concatenate([p.ring[:, at] for p, at in zip(parts, fill, strict=True)]),
-            np.concatenate([p.corners for p in parts]),
-            np.concatenate([p.sequence for p in parts]),
-        )
+        columns = [(p.centre, occlusion.widened(p.ring, width), p.corners, p.sequence) for p in parts]
+        return _Beams(*(np.concatenate(each) for each in zip(*columns, strict=True)))
 
 
 class BeamTree:
@@ -98,7 +90,7 @@ class BeamTree:
 
     def __init__(
         self, walls: Walls, centre: Floats, radius: float, receivers: BoundingSpheres | occlusion.Ears, limit: int,
-        sides: NDArray[np.int64] | None = None, lookup: occlusion.Lookup | None = None, hides: bool = True,
+        sides: NDArray[np.int64] | None = None, lookup: occlusion.WallLookup | None = None, hides: bool = True,
     ) -> None:  # fmt: skip
         self._walls, self._limit, self._hides = walls, limit, hides
         self._lookup = lookup or occlusion.WallLookup(walls)
@@ -183,7 +175,7 @@ class BeamTree:
         centres, none = np.broadcast_to(centre, (len(some), 3)), np.full(len(some), -1)
         views = occlusion.Views(centres, radius, centres[:, None], none, self._hulls[some], self._widths[some], some)
         left, corners[some] = occlusion.open_parts(self._walls, views, self._lookup.crossings)
-        ring = ring[:, np.minimum(np.arange(left.shape[1]), ring.shape[1] - 1)]
+        ring = occlusion.widened(ring, left.shape[1])
         ring[some] = left
         return ring, corners
 
@@ -193,8 +185,8 @@ class BeamTree:
         return np.asarray(self._sides[wall] * height >= -radius)
 
     def _mirrored(self, points: Floats, wall: NDArray[np.int32]) -> Floats:
-        normal, offset = self._walls.normal[wall], self._walls.offset[wall]
-        height = np.einsum("ni,ni->n", points, normal) - offset
+        normal = self._walls.normal[wall]
+        height = np.einsum("ni,ni->n", points, normal) - self._walls.offset[wall]
         return np.asarray(points - 2.0 * height[:, None] * normal)
 
     def _planes(self, beams: _Beams) -> Floats:

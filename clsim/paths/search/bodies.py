@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache, partial
 from itertools import pairwise
@@ -25,7 +25,7 @@ from clsim.paths.search.mesh import BEAM_LIMIT, report, visibility_query
 from clsim.paths.visibility.intervals import PERTURBATIONS, BoundingSpheres, joined
 from clsim.paths.visibility.mirrors import MirrorEvaluation, PastBodies
 from clsim.paths.visibility.obstacles import Obstacles
-from clsim.paths.visibility.occlusion import air_sides
+from clsim.paths.visibility.occlusion import WallLookup
 from clsim.paths.visibility.rates import BodyRates, EndRates
 from clsim.paths.visibility.subdivision import certified, evaluations, sampled
 from clsim.scene.ends import Receiver, Source, find_mount
@@ -140,13 +140,12 @@ class BodySearch:
 
     def unhidden(self, family: PathFamily, progress: Progress = lambda share: None) -> PathFamily:
         """Return the paths of a kind that is reflected by no body without what bodies hide, rows cut as it takes."""
-        rows: list[Any] = [np.empty(0, dtype=np.int64)]
-        begins, ends = [np.empty(0)], [np.empty(0)]
-        pairs = list(family.pairs())
+        found: list[tuple[Any, Any, Any]] = [(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))]
+        pairs, bodies = list(family.pairs()), replace(self.obstacles, convex=True)  # alone: no wall hides anything
         for number, pair in enumerate(pairs):
             part = partial(report, progress, number / len(pairs), (number + 1) / len(pairs))
             query = self.pair(pair.source, pair.receiver)
-            past = PastBodies(family, pair.index, self.obstacles, query.rates, query.medium)
+            past = PastBodies(family, pair.index, bodies, query.rates, query.medium)
             if family.is_specular:
                 every = np.arange(len(pair.index))
                 spans = every, np.maximum(family.start[pair.index], 0.0), np.minimum(family.end[pair.index], query.last)
@@ -157,49 +156,54 @@ class BodySearch:
             begin, end = query.bounded(begin, end)
             path = pair.index[path]
             begin, end = np.maximum(begin, family.start[path]), np.minimum(end, family.end[path])
-            rows.append(path[begin < end])
-            begins.append(begin[begin < end])
-            ends.append(end[begin < end])
-        path, begin, end = (np.concatenate(each) for each in (rows, begins, ends))
+            kept = begin < end
+            found.append((path[kept], begin[kept], end[kept]))
+        path, begin, end = (np.concatenate(each) for each in zip(*found, strict=True))
         order = np.lexsort((begin, path))
         cut = family.part(path[order])
         return replace(cut, start=read_only(begin[order]), end=read_only(end[order]))
 
     def paths(self, progress: Progress = lambda share: None) -> Chain:
         """Return every path by bodies."""
-        found: list[tuple[NDArray[np.int32], Floats, Floats, tuple[int, int]]] = []
+        found: list[dict[str, NDArray[Any]]] = []
         count, sources = 0, len(self.scene.sources)
         for source in range(sources):
-            part = partial(report, progress, source / sources, (source + 1) / sources)
-            for receiver, there in enumerate(self._with_intervals(source, part)):
-                found.append((*there, (source, receiver)))
-                count += len(there[0])
+            found.append(
+                self._with_intervals(source, partial(report, progress, source / sources, (source + 1) / sources))
+            )
+            count += len(found[-1]["order"])
             if count > self.search.path_limit:
                 raise InputError(
                     "body_order", f"must give at most {self.search.path_limit} paths (path_limit), but gives more"
                 )
-        return self._family(found)
+        columns = {name: read_only(np.concatenate([each[name] for each in found])) for name in found[0]}
+        return moving_paths(self.scene, self.obstacles.mirrors, columns, ("surfaces",))
 
-    def _with_intervals(self, source: int, progress: Progress) -> Iterator[tuple[NDArray[np.int32], Floats, Floats]]:
-        """Yield for each receiver the mirrors of paths from a source (n, N), and when they are heard (n,), s."""
+    def _with_intervals(self, source: int, progress: Progress) -> dict[str, NDArray[Any]]:
+        """Columns of the paths by mirrors from a source."""
         pairs = self._pairs(source)
-        evaluate_at = self.mirror_evaluation(source)
-        found, runs, first = self._sequences(source, max(pair.last for pair in pairs)), [], 0
-        for pair, (sequence, cell, bounds) in zip(pairs, found, strict=True):
-            which, begin, end = _runs(sequence, cell, np.minimum(bounds, pair.last))
-            runs.append((first + which, begin, end))
-            first += len(sequence)
-        surfaces = np.concatenate([sequence for sequence, _, _ in found])
-        receiver = np.repeat(np.arange(len(pairs)), [len(sequence) for sequence, _, _ in found])
-        evaluations = evaluate_at(surfaces, receiver)
-        which, begin, end = (np.concatenate([run[i] for run in runs]) for i in range(3))
-        evaluate, status, spans = evaluations.evaluate, evaluations.status, (which, begin, end)
-        path, begin, end = certified(evaluate, status, spans, pairs[0].resolution, progress)
+        last = np.array([pair.last for pair in pairs])
+        rows = self.cells(float(last.max()), partial(self._cell, source))
+        bounds = np.array([0.0, *(end for (_, end), _ in rows)])
+        surfaces, receiver = (np.concatenate([found[i] for _, found in rows]) for i in range(2))
+        cell = np.repeat(np.arange(len(rows)), [len(found[0]) for _, found in rows])
+        order = np.argsort(receiver, kind="stable")
+        surfaces, receiver, cell = surfaces[order], receiver[order], cell[order]
+        which, until = joined([receiver, *surfaces.T], cell, cell + 1)  # cells that touch as one
+        begin, end = (np.minimum(bounds[at], last[receiver[which]]) for at in (cell[which], cell[until] + 1))
+        real = end > begin
+        evaluations, spans = self.mirror_evaluation(source)(surfaces, receiver), (which[real], begin[real], end[real])
+        path, begin, end = certified(evaluations.evaluate, evaluations.status, spans, pairs[0].resolution, progress)
         for ear, pair in enumerate(pairs):
-            mine = np.flatnonzero(receiver[path] == ear)
-            sequence, (start, stop) = surfaces[path[mine]], pair.bounded(begin[mine], end[mine])
-            one, other = joined([np.sum(sequence >= 0, axis=1), *sequence.T], start, stop)
-            yield sequence[one], start[one], stop[other]
+            mine = receiver[path] == ear
+            begin[mine], end[mine] = pair.bounded(begin[mine], end[mine])
+        met, ears = surfaces[path], receiver[path]
+        one, other = joined([ears, np.sum(met >= 0, axis=1), *met.T], begin, end)
+        met, ears = met[one], ears[one].astype(np.int32)
+        return {
+            "source": np.full(len(met), source, dtype=np.int32), "receiver": ears,
+            "order": np.sum(met >= 0, axis=1).astype(np.int32), "start": begin[one], "end": end[other], "surfaces": met,
+        }  # fmt: skip
 
     def mirror_evaluation(self, source: int) -> Callable[[NDArray[np.int32], NDArray[np.int64]], MirrorEvaluation]:
         """Return a function that makes the evaluation of paths by mirrors (P, N) from a source to receivers (P,)."""
@@ -211,16 +215,6 @@ class BodySearch:
         )  # fmt: skip
         emitter, medium, ears = pairs[0].ends[0], pairs[0].medium, [pair.ends[1] for pair in pairs]
         return partial(MirrorEvaluation, self.obstacles, emitter, ears, medium, rates, step=self.search.body_step)
-
-    def _sequences(self, source: int, last: float) -> list[tuple[NDArray[np.int32], NDArray[np.int64], Floats]]:
-        """Return for each receiver sequences of mirrors (n, N), their cells of time (n,), and the bounds of these."""
-        rows = self.cells(last, partial(self._cell, source))
-        cells, found = np.array([0.0, *(end for (_, end), _ in rows)]), []
-        for receiver in range(len(self.scene.receivers)):
-            mine = [sequence[receivers == receiver] for _, (sequence, receivers) in rows]
-            number = np.repeat(np.arange(len(mine)), [len(each) for each in mine])
-            found.append((np.concatenate(mine), number, cells))
-        return found
 
     def cells(self, last: float, find: Callable[[Span], Found]) -> list[tuple[Span, Found]]:
         """Return stretches of time until a last one, s, and what is found in each, in order."""
@@ -270,7 +264,8 @@ class BodySearch:
         ears = ends.receiver_spheres(begin, end)
         start = ends.position(np.zeros(1, dtype=np.int64), np.array([middle]))[0] + PERTURBATIONS[0]
         ears = BoundingSpheres(ears.centre, ears.radius + slack)
-        tree = BeamTree(walls, centre, radius + slack, ears, BEAM_LIMIT, air_sides(walls, start), hides=False)
+        air = WallLookup(walls).air_sides(start)
+        tree = BeamTree(walls, centre, radius + slack, ears, BEAM_LIMIT, air, hides=False)
         first, width = len(self.scene.room.faces), max(self.order, 1)
         parts = [(np.empty((0, width), dtype=np.int32), np.empty(0, dtype=np.int64))]
         for batch in tree.candidates(self.order):
@@ -306,31 +301,3 @@ class BodySearch:
         surface = np.concatenate([mesh.walls.of_triangle + f for mesh, f in zip(meshes, first, strict=True)])
         flatness = max(mesh.flatness for mesh in meshes)
         return build_walls(np.concatenate(placed), triangles, surface, 10.0 * flatness)
-
-    def _family(self, found: list[tuple[NDArray[np.int32], Floats, Floats, tuple[int, int]]]) -> Chain:
-        """Return paths as columns."""
-        source, receiver = (
-            np.concatenate([np.full(len(path), ends[i], dtype=np.int32) for path, _, _, ends in found])
-            for i in range(2)
-        )
-        surfaces = np.concatenate([path for path, _, _, _ in found])
-        columns = {
-            "source": source, "receiver": receiver, "order": np.sum(surfaces >= 0, axis=1).astype(np.int32),
-            "start": np.concatenate([begin for _, begin, _, _ in found]),
-            "end": np.concatenate([end for _, _, end, _ in found]), "surfaces": surfaces,
-        }  # fmt: skip
-        held = {name: read_only(column) for name, column in columns.items()}
-        return moving_paths(self.scene, self.obstacles.mirrors, held, ("surfaces",))
-
-
-def _runs(
-    sequence: NDArray[np.int32], cell: NDArray[np.int64], bounds: Floats
-) -> tuple[NDArray[np.int64], Floats, Floats]:
-    """Return from when to when sequences (n, N) of cells (n,) are looked at: rows, and times that touch as one."""
-    number = (
-        np.unique(sequence, axis=0, return_inverse=True)[1].ravel() if len(sequence) else np.empty(0, dtype=np.int64)
-    )
-    first, last = joined([number], cell, cell + 1)
-    begin, end = bounds[cell[first]], bounds[cell[last] + 1]
-    real = end > begin
-    return first[real], begin[real], end[real]

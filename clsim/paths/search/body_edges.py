@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from clsim.acoustics.diffraction import EVEN, TERMS, adjacent_reflections, lit_angles, path_over_edge
 from clsim.arrays import Floats, Rows, read_only
 from clsim.errors import InputError
-from clsim.paths.arrivals import RETARDED
 from clsim.paths.chain import Chain
 from clsim.paths.family import PairPaths, PathFamily
 from clsim.paths.legs.events import Events
 from clsim.paths.legs.legs import moving_paths
 from clsim.paths.legs.mirrors import ROOM, EdgeLines
+from clsim.paths.response import RETARDED
 from clsim.paths.search.beam_tree import BeamTree
 from clsim.paths.search.bodies import BodySearch, PairQuery
 from clsim.paths.search.mesh import BEAM_LIMIT

@@ -32,7 +32,7 @@ from clsim.paths.visibility.clearance import mirrored, segments_apart
 from clsim.paths.visibility.edge_ends import seen_frames
 from clsim.paths.visibility.edge_intervals import EdgeSearch
 from clsim.paths.visibility.edges import EdgeCandidates
-from clsim.paths.visibility.occlusion import CLEARLY, crossed_pieces
+from clsim.paths.visibility.occlusion import CLEARLY, WallLookup
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
 
@@ -373,7 +373,7 @@ def _may_meet(walls: Walls, wall: Numbers, start: Floats, stop: Floats) -> Bools
 def _hidden(walls: Walls, mirrors: tuple[Any, Any], start: Floats, stop: Floats) -> Bools:
     """Mask of lines from hulls (n, a, 3) to others (n, b, 3) all of which a wall hides between two mirrors (n,)."""
     near, hidden = CLEARLY * walls.size, np.zeros(len(start), dtype=bool)
-    row, wall, piece = crossed_pieces(walls, start.mean(axis=1), stop.mean(axis=1))
+    row, wall, piece = WallLookup(walls).crossings(start.mean(axis=1), stop.mean(axis=1))
     kept = walls.plane[wall] >= 0
     for mirror in mirrors:
         if mirror is not None:

@@ -23,7 +23,8 @@ from clsim.paths.search.beam_tree import BeamTree, Candidates, FoundPaths, TooMa
 from clsim.paths.search.ray_shooting import THROUGH, ShotRays, divided, see_through
 from clsim.paths.visibility import intervals
 from clsim.paths.visibility.device import DeviceLookup, DeviceSearch
-from clsim.paths.visibility.occlusion import WallLookup, air_sides, in_air
+from clsim.paths.visibility.intervals import Search
+from clsim.paths.visibility.occlusion import WallLookup
 from clsim.scene.ends import Source, find_mount
 from clsim.scene.motion.motion import Motion
 from clsim.scene.room.mesh import MeshRoom
@@ -31,8 +32,6 @@ from clsim.scene.room.walls import Walls
 from clsim.scene.scene import Scene
 
 Progress = Callable[[float], None]
-Search = Callable[[NDArray[np.int32], NDArray[np.int64]], intervals.Intervals]
-
 LARGEST_MESH_ORDER = 20
 
 BEAM_LIMIT = 5_000_000  # of one tree
@@ -79,7 +78,7 @@ class MeshSearch:
             try:
                 here = query.during(begin, end)
                 search = partial(intervals.find_intervals, here) if device is None else DeviceSearch(here, device).find
-                parts.append(self._with_intervals(_InAir(here, air, search).find, finder, source.name, part))
+                parts.append(self._with_intervals(partial(here.found_in_air, air, search), finder, source.name, part))
                 if isinstance(finder, ShotRays):
                     _report_missed(finder, parts[-1].walls, shoot)
             except TooManyBeamsError as error:
@@ -93,7 +92,9 @@ class MeshSearch:
         """Return why rays are shot, because of a tree that would be far too large or as asked; else nothing."""
         if self.search.finder == "auto":
             centre, radius = ends.sphere(0)
-            tree = plant(centre, min(radius, _SMALLEST_CELL * size), intervals.BoundingSpheres.none())
+            tree = plant(
+                centre, min(radius, _SMALLEST_CELL * size), intervals.BoundingSpheres(np.empty((0, 3)), np.empty(0))
+            )
             beams = tree.estimate(self.max_order)
             return "" if beams <= BEAM_LIMIT else f"a beam tree would need about {beams:.1g} beams, so rays are shot"
         return "" if self.search.finder == "beam-tree" else "rays are shot, as asked"
@@ -115,23 +116,6 @@ class MeshSearch:
             done += len(receiver)
             progress(finder.share * done / (done + waiting))
         return FoundPaths.joined(parts)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _InAir:
-    """Answers a query for paths by walls without those that meet a closed shell from behind, see `in_air`."""
-
-    query: intervals.VisibilityQuery
-    air: NDArray[np.int64]  # (W,) see `air_sides`
-    search: Search  # of the query
-
-    def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> intervals.Intervals:
-        """Return the intervals in which sequences (n, N) of walls are paths to receivers (n,)."""
-        query, found = self.query, self.search(sequence, receiver)
-        walls, middle = sequence[found.path], 0.5 * (found.begin + found.end)
-        source, _, _ = query.ends_about(walls, receiver[found.path], middle, np.zeros(len(middle)))
-        kept = np.flatnonzero(in_air(query.walls, self.air, walls, source))
-        return intervals.Intervals(found.path[kept], found.begin[kept], found.end[kept], found.evaluations)
 
 
 def visibility_query(
@@ -173,20 +157,18 @@ def mesh_paths(scene: Scene, room: MeshRoom, search: PathOptions) -> Chain:
         MeshSearch(order, search).paths(scene, room, source, partial(report, search.notify, i / count, (i + 1) / count))
         for i, source in enumerate(scene.sources)
     ]
-    walls = np.concatenate([f.walls for f in found])
+    names = ("receiver", "order", "walls", "begin", "end")
+    receiver, orders, walls, begin, end = (np.concatenate([getattr(f, name) for f in found]) for name in names)
     if len(walls) > search.path_limit:
         raise InputError("path_limit", f"must hold all paths, but is {search.path_limit} and they are {len(walls)}")
     matrix, offset = image_isometries(room.walls, walls)
-    source = read_only(np.repeat(np.arange(count, dtype=np.int32), [len(f.order) for f in found]))
-    receiver, orders = (
-        read_only(np.concatenate([getattr(f, name) for f in found]).astype(np.int32)) for name in ("receiver", "order")
-    )
-    begin, end = (read_only(np.concatenate([getattr(f, name) for f in found])) for name in ("begin", "end"))
-    columns: Any = (read_only(x) for x in (walls, matrix, offset))
-    images = image_columns(*columns)
+    source = np.repeat(np.arange(count, dtype=np.int32), [len(f.order) for f in found])
+    always = source, receiver.astype(np.int32), orders.astype(np.int32), begin, end
+    columns: Any = [read_only(column) for column in (*always, walls, matrix, offset)]
+    images = image_columns(*columns[5:])
     if scene.panels:
         images |= _met(found)
-    return Chain(scene, source, receiver, orders, begin, end, **images)
+    return Chain(scene, *columns[:5], **images)
 
 
 def _met(found: list[FoundPaths]) -> dict[str, Any]:
@@ -241,30 +223,25 @@ def _report_missed(rays: ShotRays, walls: NDArray[np.int32], reason: str) -> Non
 
 
 def sides_of_air(query: intervals.VisibilityQuery) -> NDArray[np.int64]:
-    """Sides (W,) of walls on which paths from a query's source can be; see `air_sides`."""
+    """Sides (W,) of walls on which paths from a query's source can be; see `WallLookup.air_sides`."""
     ends, source = query.trajectory_tables, np.zeros(1, dtype=np.int64)
     start = ends.lifted(source, ends.position(source, np.zeros(1)) + intervals.PERTURBATIONS[0])[0]
-    return air_sides(query.walls, start)
+    return WallLookup(query.walls).air_sides(start)
 
 
 def _batches(candidates: Iterator[Candidates]) -> Iterator[tuple[Candidates, int]]:
     """Join candidates of the same order until they are worth a launch; yield also how many others wait."""
     waiting: dict[int, list[Candidates]] = {}
-    count = 0
     for found in candidates:
-        if not len(found.row):
-            continue
         order = found.sequence.shape[1]
-        waiting.setdefault(order, []).append(found)
-        count += len(found.row)
-        if sum(len(c.row) for c in waiting[order]) >= _BATCH:
+        if len(found.row):
+            waiting.setdefault(order, []).append(found)
+        if sum(len(c.row) for c in waiting.get(order, ())) >= _BATCH:
             batch = Candidates.joined(waiting.pop(order))
-            count -= len(batch.row)
-            yield batch, count
-    for some in waiting.values():
-        batch = Candidates.joined(some)
-        count -= len(batch.row)
-        yield batch, count
+            yield batch, sum(len(c.row) for some in waiting.values() for c in some)
+    while waiting:
+        some = waiting.pop(min(waiting))
+        yield Candidates.joined(some), sum(len(c.row) for others in waiting.values() for c in others)
 
 
 def _last(source: Motion, longest: float, receiver: Motion) -> float:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, Ints, unique_rows
+from clsim.arrays import Floats, Ints, by_value, unique_rows
 from clsim.errors import check_packages
 from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.search.beam_tree import Candidates, FoundPaths
@@ -71,16 +71,11 @@ class ShotRays:
             yield Candidates(sequence, row, receiver)
 
     def missed(self, walls: NDArray[np.int32]) -> float:
-        """Return about how many paths rays have missed, from those (P, N) that they have met, filled up with -1.
+        """Estimate the number of paths that rays have missed, from those (P, N) that they have met.
 
-        Every other ray is of one half. Of a paths that only the one half has met, b that only the other has and c that
-        both have, Chapman's estimate of all is ``(a + c + 1) (b + c + 1) / (c + 1) - 1``, so that ``a b / (c + 1)`` are
-        missed. It is low where paths differ in how easily they are met.
-
-        References
-        ----------
-        D. G. Chapman, "Some properties of the hypergeometric distribution with applications to zoological sample
-        censuses", University of California Publications in Statistics 1, 131-160, 1951.
+        Of a paths that only one half of the rays has met, b that only the other has and c that both have, all are
+        ``(a + c + 1) (b + c + 1) / (c + 1) - 1``, so that ``a b / (c + 1)`` are missed, or more where some are met less
+        easily (D. G. Chapman, University of California Publications in Statistics 1, 131-160, 1951).
         """
         halves = [self._halves[row[row >= 0].tobytes()] for row in walls if row.max(initial=-1) >= 0]
         one, other, both = (halves.count(half) for half in (1, 2, 3))
@@ -99,10 +94,9 @@ class ShotRays:
             wall = walls.of_triangle[triangle[hit]]
             origin, directions, sequence = origin[hit], directions[hit], sequence[hit]
             toward = np.einsum("ni,ni->n", directions, walls.normal[wall])
+            fresh = np.abs(toward) > 1e-6
             if sequence.shape[1]:
-                fresh = (walls.plane[sequence[:, -1]] != walls.plane[wall]) & (np.abs(toward) > 1e-6)
-            else:
-                fresh = np.abs(toward) > 1e-6
+                fresh &= walls.plane[sequence[:, -1]] != walls.plane[wall]
             half = half[hit][fresh]
             rays = origin, directions, sequence, wall, toward
             origin, directions, sequence, wall, toward = (x[fresh] for x in rays)
@@ -179,8 +173,7 @@ def _crossings(
     """Find which paths cross which panels, on which legs, and when: path, leg, panel (n,), begin, end (n,) s."""
     parts: list[tuple[Any, ...]] = [(*(np.empty(0, dtype=np.int64),) * 3, np.empty(0), np.empty(0))]
     bounces = np.sum(found.walls >= 0, axis=1)
-    for count in np.unique(bounces).tolist():
-        rows = np.flatnonzero(bounces == count)
+    for count, rows in by_value(bounces):
         sequence, spans = found.walls[rows, :count], (span[0][rows], span[1][rows])
         for panel in panels:
             for leg in range(count + 1):

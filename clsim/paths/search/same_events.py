@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, Rows, read_only, unique_rows
+from clsim.arrays import Floats, Rows, by_value, ranges, read_only, unique_rows
 from clsim.paths.chain import Chain
 from clsim.paths.family import DIFFRACTION, NONE, PathFamily, ends_at
 from clsim.paths.vertices.edge import EdgeVertex
@@ -76,12 +76,10 @@ def _with_corners(chains: list[Chain], scene: Scene) -> list[Chain]:
         if events.paths_beside_ends(group) < 2:
             continue
         ends = group[over_ends[group]]
-        for number in np.unique(events.family[ends]).tolist():
-            mine = ends[events.family[ends] == number]
+        for number, some_ends in by_value(events.family[ends]):
+            mine, vertex = ends[some_ends], chains[number].vertex
             links, rows = chains[number].links(events.row[mine]), events.row[mine]
-            lit, corner = columns.setdefault(
-                number, (np.array(chains[number].vertex.lit), np.array(chains[number].vertex.corner))
-            )
+            lit, corner = columns.setdefault(number, (np.array(vertex.lit), np.array(vertex.corner)))
             instants = events.time[group[0]] + _SHORT * np.array([1.0, -1.0])  # after it and before it
             angles, *squares = links.vertex.boundaries(links, instants)
             sides, each = np.where(angles >= 0.0, 1, -1), np.arange(len(mine))
@@ -137,8 +135,7 @@ class _Events:
     def delays(self, which: Rows, instants: Floats) -> Floats:
         """Compute the delays (n,) of the paths of events at instants (n,), s."""
         found = np.empty(len(which))
-        for family in np.unique(self.family[which]).tolist():
-            mine = self.family[which] == family
+        for family, mine in by_value(self.family[which]):
             found[mine] = self.chains[family].delays(self.row[which[mine]], instants[mine])
         return found
 
@@ -156,9 +153,8 @@ class _Events:
         """Compute by how much paths of groups' own events, (k,) in time, are longer than those of events (n,), m."""
         family, row, each = self.family[group], self.row[group], np.empty(len(group))
         received, sent = instants[which], (instants - self.delays(group[own], instants))[which]
-        for number in np.unique(family).tolist():
-            chain, mine = self.chains[number], family == number
-            rows = row[mine]
+        for number, mine in by_value(family):
+            chain, rows = self.chains[number], row[mine]
             source = ends_at(self.scene.sources, chain.source[rows], sent[mine])
             receiver = ends_at(self.scene.receivers, chain.receiver[rows], received[mine])
             each[mine] = chain.lengths(rows, source, receiver)
@@ -192,8 +188,7 @@ def _groups(events: _Events, resolution: float) -> Iterator[Rows]:
     scene, late, moved = events.scene, times[1:][near], np.zeros(int(near.sum()))
     source, receiver = np.divmod(pair[1:][near], len(scene.receivers))
     for ends, which in ((scene.sources, source), (scene.receivers, receiver)):
-        for each in np.unique(which).tolist():
-            mine = which == each
+        for each, mine in by_value(which):
             place = ends[each].trajectory.position(late[mine][:, None] + np.array([0.0, STEP]))
             moved[mine] += np.linalg.norm(place[:, 1] - place[:, 0], axis=-1)
     near[near] = gap[near] <= indistinct(moved, resolution, scene.room.as_mesh().walls.size)
@@ -249,7 +244,8 @@ def _along_edges(events: _Events, converged: NDArray[np.bool_]) -> Iterator[tupl
         mine, theirs = (which[events.pair[which] == pair] for which in (lone, turns))
         known, now = events.time[theirs], events.time[mine]
         first, after = (np.searchsorted(known, now + shift) for shift in (-_GRAZED, _GRAZED))
-        one, other = (np.repeat(mine, after - first), theirs[_ranges(first, after)])
+        of, place = ranges(first, after)
+        one, other = mine[of], theirs[place]
         apart = events.delays(one, events.time[one]) - events.delays(other, events.time[one])
         for pair_of in np.stack([one, other], axis=1)[np.abs(apart) < SAME_DELAY]:
             begin, end = events.time[pair_of].tolist()
@@ -259,12 +255,6 @@ def _along_edges(events: _Events, converged: NDArray[np.bool_]) -> Iterator[tupl
             ):
                 converged[pair_of[0]] = True
                 yield pair_of[:1], float(events.time[pair_of[1]])
-
-
-def _ranges(first: Rows, after: Rows) -> Rows:
-    """Make one array of all numbers from each first one to that before the last."""
-    count = after - first
-    return np.asarray(np.arange(count.sum()) + np.repeat(first - np.cumsum(count) + count, count))
 
 
 def _beside_turns(events: _Events) -> Iterator[tuple[Rows, Rows, Rows]]:
@@ -280,7 +270,7 @@ def _beside_turns(events: _Events) -> Iterator[tuple[Rows, Rows, Rows]]:
         after = here.start + np.searchsorted(times, events.time[turns] + _WINDOW, "right")
         several = events.time[first] != events.time[after - 1]
         turns, first, after = turns[several], first[several], after[several]
-        turn, near = np.repeat(np.arange(len(turns)), after - first), _ranges(first, after)
+        turn, near = ranges(first, after)
         _, instant = np.unique(events.time[turns], return_inverse=True)
         _, some, same = np.unique(paths[near] * len(turns) + instant[turn], return_index=True, return_inverse=True)
         each = events.delays(near[some], events.time[turns[turn[some]]])[same]
@@ -348,7 +338,7 @@ def _same_events(
         others, their_times = others[order], their_times[order]
         first = np.searchsorted(their_times, times - within)
         after = np.searchsorted(their_times, times + within, side="right")
-        mine, theirs = np.repeat(np.arange(len(rows)), after - first), _ranges(first, after)
+        mine, theirs = ranges(first, after)
         when = 0.5 * (times[mine] + their_times[theirs])
         mine, theirs = rows[mine], others[theirs]
         same = np.abs(family.delays(mine, when) - family.delays(theirs, when)) < SAME_DELAY

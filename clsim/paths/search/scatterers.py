@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
 from clsim.paths.chain import Chain, check_support
-from clsim.paths.family import TRANSMISSION, ends_at
+from clsim.paths.family import TRANSMISSION, ends_at, met_in_order
 from clsim.paths.legs.events import find_events
 from clsim.paths.legs.legs import StaticLeg, direct_paths, moving_paths
 from clsim.paths.legs.mirrors import Mirrors
-from clsim.paths.links import met_in_order
 from clsim.paths.propagation import mean_medium_of, medium_of, straight
 from clsim.paths.vertices.scatterer import ScattererVertex
 from clsim.scene.body import Body

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import EVEN, end_detour, lit_angles, path_over_edge, wedge_terms
 from clsim.arrays import ByRow, Floats
-from clsim.paths.arrivals import RETARDED, Arrivals, Kinematics
-from clsim.paths.family import DIFFRACTION, Instant
+from clsim.paths.family import DIFFRACTION, Columns, Instant, Links, Pair
 from clsim.paths.legs.mirrors import EdgeLines
-from clsim.paths.links import Columns, Links, Pair
 from clsim.paths.propagation import UniformAir, arrivals_by
-from clsim.paths.response import SceneResponse
+from clsim.paths.response import RETARDED, Arrivals, Kinematics, SceneResponse
 from clsim.paths.vertices import edge_field
 from clsim.paths.vertices.edge_events import Chains, EdgeEvents, EdgeSolver
 from clsim.scene.scene import Scene

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from clsim.acoustics import diffraction
 from clsim.acoustics.corner import CornerLeg, meeting_field
 from clsim.arrays import Floats
-from clsim.paths.links import Pair
+from clsim.paths.family import Pair
 from clsim.paths.response import SceneResponse
 from clsim.paths.vertices import edge_events, edge_pair
 from clsim.paths.vertices.edge import Triple

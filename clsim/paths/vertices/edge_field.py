@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from clsim.acoustics import diffraction
 from clsim.arrays import Complexes, Floats
-from clsim.paths.links import Links
+from clsim.paths.family import Links
 from clsim.paths.propagation import Folds, Medium, Passage, straight
 from clsim.paths.response import SceneResponse
 from clsim.scene.motion.motion import Motion

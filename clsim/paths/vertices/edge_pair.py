@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 from clsim.acoustics import diffraction
 from clsim.acoustics.edge_gap import EdgeGap
 from clsim.arrays import Floats
-from clsim.paths.arrivals import Kinematics
-from clsim.paths.family import Instant, Rows
+from clsim.paths.family import Columns, Instant, Links, Pair, Rows
 from clsim.paths.legs.legs import path_vertices
 from clsim.paths.legs.mirrors import dot
-from clsim.paths.links import Columns, Links, Pair
 from clsim.paths.propagation import UniformAir
-from clsim.paths.response import SceneResponse
+from clsim.paths.response import Kinematics, SceneResponse
 from clsim.paths.vertices import edge_events
 from clsim.paths.vertices.edge import EdgeVertex, Triple
 from clsim.paths.vertices.edge_field import EdgeView, RolledOut, adjacent_factors, face_factor

@@ -18,12 +18,10 @@ from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import ON_LINE, path_over_edge
 from clsim.arrays import ByRow, Floats
-from clsim.paths.arrivals import Arrivals, Kinematics
-from clsim.paths.family import Instant, Rows, ends_at
+from clsim.paths.family import Columns, Instant, Integers, Links, Pair, Rows, ends_at
 from clsim.paths.legs.legs import StaticLeg, path_vertices
-from clsim.paths.links import Columns, Integers, Links, Pair
 from clsim.paths.propagation import straight
-from clsim.paths.response import SceneResponse
+from clsim.paths.response import Arrivals, Kinematics, SceneResponse
 from clsim.paths.vertices.edge import EdgeVertex
 from clsim.paths.vertices.edge_field import EdgeView, towards_edge
 from clsim.paths.vertices.scatterer import ScattererVertex

@@ -17,10 +17,8 @@ from clsim.acoustics.diffraction import (
     wedge_terms,
 )
 from clsim.arrays import Floats
-from clsim.paths.arrivals import Kinematics
-from clsim.paths.family import Rows
-from clsim.paths.links import Links, Pair
-from clsim.paths.response import SceneResponse
+from clsim.paths.family import Links, Pair, Rows
+from clsim.paths.response import Kinematics, SceneResponse
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex, Triple
 from clsim.paths.vertices.edge_end import EdgeEndVertex
 from clsim.paths.vertices.edge_field import EdgeView, RolledOut, polar

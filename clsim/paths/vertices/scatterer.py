@@ -14,11 +14,9 @@ from clsim.acoustics.shade import LOUDEST_SHADE, shade
 from clsim.acoustics.silhouette import ASPECTS, forward_share
 from clsim.arrays import Floats
 from clsim.numerics.quaternions import inverse, rotate
-from clsim.paths.arrivals import Arrivals, Kinematics
-from clsim.paths.family import SCATTERING, Instant, Rows, ends_at
-from clsim.paths.links import Columns, Links, Pair, in_chunks
+from clsim.paths.family import SCATTERING, Columns, Instant, Links, Pair, Rows, ends_at, in_chunks
 from clsim.paths.propagation import UniformAir
-from clsim.paths.response import SceneResponse
+from clsim.paths.response import Arrivals, Kinematics, SceneResponse
 from clsim.paths.vertices import scatterer_paths
 from clsim.scene.scatterer import CapsuleShape, Scatterer
 from clsim.scene.scene import Scene

@@ -17,11 +17,9 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats, read_only
 from clsim.errors import InputError
-from clsim.paths.arrivals import Arrivals, Kinematics
 from clsim.paths.chain import Chain, check_support
-from clsim.paths.family import NONE, SCATTERING, SPECULAR, Instant, Rows, ends_at
-from clsim.paths.links import Columns, Links, Pair
-from clsim.paths.response import SceneResponse
+from clsim.paths.family import NONE, SCATTERING, SPECULAR, Columns, Instant, Links, Pair, Rows, ends_at
+from clsim.paths.response import Arrivals, Kinematics, SceneResponse
 from clsim.paths.search.scatterers import Side, at_receivers, received_after
 from clsim.paths.vertices.scatterer import PairEnds, ScattererVertex
 from clsim.paths.vertices.scatterer_paths import PATIENCE, Body, Leg, leg_between, unseen

@@ -35,7 +35,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Bools, Floats
+from clsim.arrays import Bools, Floats, by_value
 from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import ROOM, Mirrors, dot
 from clsim.paths.propagation import UniformAir
@@ -51,10 +51,7 @@ _MARGIN = 0.25  # of a path's length or rise, by which it may slide or shrink be
 _LESS = 0.8  # of that margin: both length and share may change
 _TURNS = 2  # of finding when sound is at the middle of a face, and when it was emitted
 _BRIEF = 2e-2  # s; faces that turn past all their points within twice that are looked at at every sample then
-_WIDEST, _CHORD = (
-    0.5,
-    1.0353,
-)  # sine of an angle from the middle of a face to another point, and unit vectors' chord by it
+_WIDEST, _CHORD = 0.5, 1.0353  # sine of an angle between two points of a face, and unit vectors' chord by it
 _TAME = 1e-4  # m, by which events may lie off the line for the bounds to hold of where mirrors are met
 
 
@@ -97,9 +94,8 @@ def straightened(mirrors: Mirrors, walls: NDArray[Any], events: Events, now: Flo
     share = -far / np.where(rise == 0.0, 1e-300, rise)
     share = np.clip(share, -FAR, FAR)
     place, time = np.empty((count, order + 2, 3)), np.empty((count, order + 2))
-    place[:, 0], place[:, -1], time[:, 0], time[:, -1] = (
-        events.place[:, 0, 0], events.place[:, 0, -1], start[:, 0, 0], 0.0,
-    )  # fmt: skip
+    place[:, [0, -1]] = events.place[:, 0, [0, -1]]
+    time[:, 0], time[:, -1] = start[:, 0, 0], 0.0
     met = start[:, 1:] + np.clip(share, -1e3, 1e3)[..., None] * (stop[:, 1:] - start[:, 1:])
     time[:, 1:-1] = met[..., 0]
     place[:, 1:-1] = met[..., 1:] + met[..., :1] * wind
@@ -134,6 +130,14 @@ class Drift:
     stop: Floats  # likewise
     steady: Floats  # (n, N) for how long those of shares and of places on mirrors are bounds, s, as the rise shrinks
     holds: Floats  # (n,) for how long these are bounds, s; 0 where they are none
+
+    def slides(self, body: NDArray[np.int64], pace: Pace, far: Floats) -> Floats:
+        """Bound the speeds of places on mirrors of bodies (n, N), so far from their middles, in their axes, m/s."""
+        rows = np.arange(len(body))[:, None]
+        speed, turn = (x[rows, np.maximum(body, 0)] for x in (pace.speed, pace.turn))
+        slide, late = self.place[:, 1:-1], self.dilation[:, 1:-1]
+        away = far + pace.half[:, None] * (slide + late * speed)
+        return np.asarray(np.where(body == ROOM, slide, slide + late * (speed + turn * away)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,10 +193,8 @@ def _motions(
     middles = [middle_of(b) for b in mirrors.bodies]
     limit, lever = (np.array([getattr(m, name) for m in middles])[body] for name in ("limit", "lever"))
     rows = np.arange(len(walls))[:, None]
-    speed, turn, gain, lift, jolt, twist = (
-        np.where(moving, getattr(pace, name)[rows, body], 0.0)
-        for name in ("speed", "turn", "gain", "lift", "jolt", "twist")
-    )
+    of_bodies = pace.speed, pace.turn, pace.gain, pace.lift, pace.jolt, pace.twist
+    speed, turn, gain, lift, jolt, twist = (np.where(moving, x[rows, body], 0.0) for x in of_bodies)
     when = np.where(moving, line.time[:, 1:-1], 0.0)
     middle = np.zeros((*walls.shape, 3))
     for number, thing in enumerate(mirrors.bodies):
@@ -283,8 +285,7 @@ def behind(mirrors: Mirrors, walls: NDArray[Any], line: Line, pace: Pace, medium
     rows = np.flatnonzero(np.sum(moving, axis=1) == 1)
     k = np.argmax(moving[rows], axis=1)
     surface = walls[rows, k]
-    for face in np.unique(surface).tolist():
-        p = np.flatnonzero(surface == face)
+    for face, p in by_value(surface):
         n, body = rows[p], int(mirrors.owner[face])
         when = line.now[n] - 0.5 * delay[n]
         own = [mirrors.bodies[body].seen(x[n, k[p]], when) for x in (line.start, line.stop)]

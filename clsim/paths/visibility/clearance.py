@@ -134,12 +134,11 @@ def in_planes(walls: Walls, place: Floats, sequence: NDArray[np.int32]) -> NDArr
 def path_status(
     walls: Walls, sequence: Ints, source: Floats, receiver: Floats, reach: Reach, at_edge: bool = False
 ) -> tuple[Bools, Floats]:
-    """Mask of valid paths, and their clearances.
+    """Mask of valid paths (n,), and their clearances (n,), m.
 
-    Shapes: result (n,), (n,) m.
-    at_edge: whether the last legs end on edges of the room: walls that hold these places hide nothing of them.
-    clear: if it exceeds the most of `reach`, that stays so while neither end moves farther than `reach`; else while
-    both move by less than its share ``clear / most`` of their reach, m.
+    Where the last legs end on edges of the room, `at_edge`, walls that hold these places hide nothing of them. If a
+    clearance exceeds the most of `reach`, the state stays while neither end moves farther than `reach`; else while both
+    move by less than its share ``clear / most`` of their reach.
     """
     paths = unfold(walls, sequence, source, receiver, reach)
     valid, clear = _reflects(walls, sequence, paths)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from clsim.opencl.launch import compiler_of, upload, work
 from clsim.paths.cubics import CUBIC_COLUMNS
 from clsim.paths.visibility import intervals
 from clsim.paths.visibility.clearance import EVER, PARALLEL, TOUCHING
-from clsim.paths.visibility.occlusion import INNER, Beams, Ears
+from clsim.paths.visibility.occlusion import INNER, Beams, Ears, WallLookup
 from clsim.scene.room.walls import INSIDE, Walls
 
 _PATHS = 16_384  # searched at a time
@@ -47,6 +48,7 @@ class DeviceSearch:
         self._info, handle = self._device
         self._compiler = compiler_of(handle)
         self._queue = cl.CommandQueue(self._compiler.context)
+        self._upload = partial(upload, self._queue.context)
         walls, ends = query.walls, query.trajectory_tables
         tables = ("places", "scales", "knots", "speeds", "mounts")
         self._arguments = room_arguments(self._queue.context, walls, self._info)
@@ -90,13 +92,13 @@ class DeviceSearch:
                 states = np.zeros(len(end), dtype=progress(_DEPTH))
                 states["begin"], states["end"], states["depth"] = 1.0, -1.0, begin < end  # nothing yet; all is left
                 states["stack"]["begin"][:, 0], states["stack"]["end"][:, 0] = begin, end
-                parts.append((first, *self._search(program, constants, some, states, others)))
+                parts.append(self._search(program, constants, some, states, others))
+                parts[-1][0]["path"] += first
         except (cl.MemoryError, cl.RuntimeError) as error:
             raise DeviceError(f"the device failed while paths were validated: {error}") from error
-        no = np.empty(0, dtype=INTERVAL)
-        path = np.concatenate([no["path"], *(p["path"].astype(np.int64) + first for first, p, _ in parts)])
-        begin, end = (np.concatenate([no[name], *(p[name] for _, p, _ in parts)]) for name in ("begin", "end"))
-        return intervals.merged(path.astype(np.int64), begin, end, sum(evaluations for _, _, evaluations in parts))
+        found = np.concatenate([np.empty(0, dtype=INTERVAL), *(some for some, _ in parts)])
+        path, evaluations = found["path"].astype(np.int64), sum(count for _, count in parts)
+        return intervals.merged(path, found["begin"], found["end"], evaluations)
 
     def _evaluations(self, order: int) -> int:
         """Largest number of evaluations of paths of an order in a launch: legs are near all boxes, twice."""
@@ -156,9 +158,6 @@ class DeviceSearch:
             bound = f"must let every path be settled within {intervals.MOST_EVALUATIONS} evaluations"
             raise InputError("resolution", f"{bound}, but {path}: move an end, or ask less finely")
 
-    def _upload(self, array: NDArray[Any]) -> Any:
-        return upload(self._queue.context, array)
-
 
 def _triple(vector: Floats) -> str:
     """Return a vector as OpenCL C initialises one."""
@@ -191,20 +190,21 @@ def room_arguments(context: Any, walls: Walls, info: devices.DeviceInfo) -> dict
     }
 
 
-class DeviceLookup:
-    """What `WallLookup` does, on a device with float64, by ``meetings.cl`` and ``crossings.cl``."""
+class DeviceLookup(WallLookup):
+    """Looks up walls on a device with float64, by ``meetings.cl`` and ``crossings.cl``."""
 
     def __init__(self, walls: Walls, device: tuple[devices.DeviceInfo, Any]) -> None:
         import pyopencl as cl
 
-        self._walls, self._info = walls, device[0]
+        super().__init__(walls)
+        self._info = device[0]
         self._compiler = compiler_of(device[1])
         self._queue = cl.CommandQueue(self._compiler.context)
         self._room = room_arguments(self._compiler.context, walls, self._info)
         self._wall_of_piece = np.repeat(np.arange(len(walls)), np.diff(walls.first_piece))
 
     def crossings(self, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
-        """Crossings of segments and walls, see `WallLookup.crossings`: at most `MOST` of each segment."""
+        """Return at most `MOST` crossings of each segment."""
         step = self._at_a_time(self._tree_operations, 4 * MOST)
         parts = [self._crossed(start[i : i + step], stop[i : i + step]) for i in range(0, len(start), step)]
         found = np.concatenate([np.empty((0, MOST), dtype=np.int32), *parts])
@@ -227,12 +227,12 @@ class DeviceLookup:
         return found
 
     def meetings(self, beams: Beams, sides: Ints, ears: Ears | None) -> tuple[Ints, Ints]:
-        """Return pairs of a beam and a wall that it may meet; see `WallLookup.meetings`."""
+        """Return pairs of a beam and a wall, see `WallLookup.meetings`."""
         if ears is not None and not len(ears.radius):
             return (np.empty(0, dtype=np.int64),) * 2
         planes, listening = beams.planes.shape[1] / 6.0, 0 if ears is None else 2 * len(ears.radius)
-        operations = planes * (self._tree_operations + OPERATIONS_PER_BOX * listening * len(self._walls))
-        step = self._at_a_time(operations, 8 * len(self._walls))
+        operations = planes * (self._tree_operations + OPERATIONS_PER_BOX * listening * len(self.walls))
+        step = self._at_a_time(operations, 8 * len(self.walls))
         found = [np.empty((2, 0), dtype=np.int64)]
         for first in range(0, len(beams.last), step):
             beam, wall = self._met(beams.part(slice(first, first + step)), sides, ears)
@@ -255,7 +255,7 @@ class DeviceLookup:
         import pyopencl as cl
 
         kernel = self._compiler.kernel("meetings", {"PARALLEL": PARALLEL})
-        count, capacity = len(beams.last), min(_FOUND, len(beams.last) * len(self._walls))
+        count, capacity = len(beams.last), min(_FOUND, len(beams.last) * len(self.walls))
         spheres = np.zeros((1, 4)) if ears is None else np.column_stack([ears.centre, ears.radius])
         seen = np.zeros((1, 4)) if ears is None else np.concatenate([ears.plane, np.zeros((1, 4))])
         first_seen = np.zeros(2, dtype=np.int32) if ears is None else ears.first_plane.astype(np.int32)
@@ -273,7 +273,7 @@ class DeviceLookup:
                 last_wall=beams.last.astype(np.int32), side=sides.astype(np.int32),
                 receivers=upload(self._queue.context, spheres), seen=upload(self._queue.context, seen),
                 first_seen=first_seen,
-                receiver_count=0 if ears is None else len(spheres), wall_count=len(self._walls), capacity=capacity,
+                receiver_count=0 if ears is None else len(spheres), wall_count=len(self.walls), capacity=capacity,
                 found=made, found_count=counter,
             )  # fmt: skip
             total = np.empty(1, dtype=np.int32)

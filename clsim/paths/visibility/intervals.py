@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, read_only
+from clsim.arrays import Floats, Ints, firsts, read_only
 from clsim.errors import InputError
 from clsim.paths.cubics import KNOT_RATES, cubics_between
 from clsim.paths.propagation import Medium, UniformAir, contract_delay
 from clsim.paths.visibility.clearance import Reach, mirrored, path_status
+from clsim.paths.visibility.occlusion import in_air
 from clsim.scene.motion.motion import Motion
 from clsim.scene.room.faces import Mount
 from clsim.scene.room.walls import Walls
@@ -37,11 +38,6 @@ class BoundingSpheres:
 
     centre: Floats
     radius: Floats
-
-    @staticmethod
-    def none() -> BoundingSpheres:
-        """Return none."""
-        return BoundingSpheres(np.empty((0, 3)), np.empty(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +104,7 @@ class TrajectoryTables:
     def delay(self, mirrored: Floats, receiver_at: Floats, time: Floats, medium: Medium) -> Floats:
         """Return the delays (n,) from the source to places as it sees them and as they are, (n, 3) m each; s."""
         source = np.zeros(len(time), dtype=np.int64)
-        return contract_delay(medium, lambda emitted: self.position(source, emitted), mirrored, receiver_at, time)
+        return contract_delay(medium, partial(self.position, source), mirrored, receiver_at, time)
 
 
 def with_points(tables: TrajectoryTables, row: int, places: Floats) -> TrajectoryTables:
@@ -132,15 +128,8 @@ def trajectory_tables(
     tables = [_knots("sources.trajectory", source)]
     tables += [_knots(f"receivers[{i}].trajectory", motion) for i, motion in enumerate(receivers)]
     levels = [_speeds(knots, rate) for knots, _, rate in tables]
-    counts = np.array([len(knots) for knots, _, _ in tables])
-    places = np.stack(
-        [
-            np.concatenate([[0], np.cumsum(counts)[:-1]]),
-            np.concatenate([[0], np.cumsum([len(level) for level in levels])[:-1]]),
-            counts,
-        ],
-        axis=1,
-    ).astype(np.int64)
+    counts, sizes = (np.array([len(each) for each in some]) for some in ([knots for knots, _, _ in tables], levels))
+    places = np.column_stack([firsts(counts)[:-1], firsts(sizes)[:-1], counts])
     scales = np.array([[first, rate, level.max()] for (_, first, rate), level in zip(tables, levels, strict=True)])
     knots = np.concatenate([knots for knots, _, _ in tables])
     planes = np.zeros((len(tables), 4))
@@ -202,6 +191,7 @@ def _speeds(knots: Floats, rate: float) -> Floats:
     return np.concatenate(levels)
 
 
+Search = Callable[[NDArray[np.int32], NDArray[np.int64]], "Intervals"]
 Evaluation = Callable[[NDArray[np.int32], NDArray[np.int64], Floats, Floats], tuple[NDArray[np.bool_], Floats, Floats]]
 
 SMALLEST_MOVE = 1e-9  # of the room's size; ends that move less stand still
@@ -257,6 +247,16 @@ class VisibilityQuery:
         origin = ends.lifted(source, ends.position(source, emission_time) + PERTURBATIONS[0])
         return origin, ends.lifted(row, at + PERTURBATIONS[1]), reach
 
+    def found_in_air(
+        self, air: Ints, search: Search, sequence: NDArray[np.int32], receiver: NDArray[np.int64]
+    ) -> Intervals:
+        """Search without paths that meet a closed shell from behind, by the sides of walls in the air, see `in_air`."""
+        found = search(sequence, receiver)
+        walls, middle = sequence[found.path], 0.5 * (found.begin + found.end)
+        source, _, _ = self.ends_about(walls, receiver[found.path], middle, np.zeros(len(middle)))
+        kept = np.flatnonzero(in_air(self.walls, air, walls, source))
+        return Intervals(found.path[kept], found.begin[kept], found.end[kept], found.evaluations)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Intervals:
@@ -272,13 +272,10 @@ def find_intervals(
     query: VisibilityQuery, sequence: NDArray[np.int32], receiver: NDArray[np.int64],
     evaluation: Evaluation | None = None, spans: tuple[Floats, Floats] | None = None, parts: int = 1,
 ) -> Intervals:  # fmt: skip
-    """Return the intervals in which paths are valid.
+    """Return the intervals in which paths by sequences (n, N) of walls to receivers (n,) are valid.
 
-    Shapes: sequence (n, N); receiver (n,).
-    evaluation: what says whether other paths than those by walls are valid, and how far their ends may move; as
-    `evaluate` of the query.
-    spans: times from and up to which each path is looked at, s; those of its receiver when left out.
-    parts: into how many what is left of an interval is cut at most, see `divided`.
+    An `evaluation` takes the place of `evaluate` of the query for other paths. They are evaluated over `spans` of time,
+    s, or over those of their receivers. What is left of an interval is cut into so many `parts` at most, see `divided`.
     """
     evaluate_at = evaluation or partial(evaluate, query)
     first, last = spans or (query.first[receiver], query.last[receiver])
@@ -316,7 +313,7 @@ def find_intervals(
         real = rest[2] > rest[1]
         if real.any():
             stack.append(divided(rest[0][real], rest[1][real], rest[2][real], 1, parts))
-    paths, begins, ends = (np.concatenate([f[i] for f in found]) for i in range(3))
+    paths, begins, ends = map(np.concatenate, zip(*found, strict=True))
     return merged(paths, begins, ends, evaluations)
 
 

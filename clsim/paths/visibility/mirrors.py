@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Bools, Floats, Rows
+from clsim.arrays import Bools, Floats, Rows, by_value
 from clsim.paths.family import PathFamily
 from clsim.paths.legs.events import Events, find_events
 from clsim.paths.legs.legs import path_vertices
-from clsim.paths.legs.mirrors import ROOM
 from clsim.paths.propagation import UniformAir, mean_medium_of
 from clsim.paths.visibility.certainty import EARLIER, Drift, Line, absent, averted, behind, drift, straightened
-from clsim.paths.visibility.obstacles import LegDrift, Legs, Obstacles, hidden_by
+from clsim.paths.visibility.obstacles import LegDrift, Legs, Obstacles
 from clsim.paths.visibility.rates import FAR, GRAZE_TIME, EndRates, Pace, lasts, taken_for
 from clsim.paths.visibility.subdivision import ROUNDS, Status
 from clsim.scene.motion.motion import Motion
@@ -46,8 +45,7 @@ class MirrorEvaluation:
         """Mask of valid paths (n,), and the times for which that is certain and assumed, s."""
         there, sure, taken = np.zeros(len(rows), dtype=bool), np.zeros(len(rows)), np.zeros(len(rows))
         order = np.sum(self.surfaces[rows] >= 0, axis=1)
-        for count in np.unique(order).tolist():
-            some = np.flatnonzero(order == count)
+        for count, some in by_value(order):
             walls = self.surfaces[rows[some], :count]
             ears = self.receiver[rows[some]]
             there[some], sure[some], taken[some] = self._evaluate(walls, ears, times[some], half[some])
@@ -68,7 +66,7 @@ class MirrorEvaluation:
         holds, apart, far = self._on_faces(walls, line.place, line.now[:, None] + line.time)
         met &= np.all(holds, axis=1)
         change = drift(self.obstacles.mirrors, walls, line, pace, self.medium, met)
-        slide = self._slides(walls, (change.place, change.dilation), (pace.speed, pace.turn, pace.half), far)
+        slide = change.slides(self.obstacles.mirrors.owner[walls], pace, far)
         sure = np.zeros(len(walls))
         gone = np.flatnonzero(~met)
         not_met = np.minimum(absent(line, change, holds, lasts(apart, slide)), change.holds)
@@ -80,53 +78,30 @@ class MirrorEvaluation:
             kept = np.minimum(lasts(apart, slide)[some].min(axis=1, initial=FAR), lasts(lengths, closing).min(axis=1))
             kept = np.minimum(kept, np.minimum(change.holds, change.steady.min(axis=1, initial=FAR))[some])
             there[some], sure[some] = self._free(walls[some], line, change, pace, some, kept)
-        certain = sure
-        jumps = np.any((pace.jolt > 0.0) | (pace.twist > 0.0), axis=1)
-        certain = np.where(jumps & (certain < half), 0.0, certain)
+        certain = pace.unless_jumps(sure)
         most = GRAZE_TIME if walls.shape[1] < 2 else FAR  # many images of higher orders are that slanted
         loose = np.minimum(lasts(np.full(len(walls), self.step), pace.all_lengths), most)
         fastest = np.minimum(change.place.max(axis=1), FAR) + pace.all_lengths
         taken = np.where((change.holds > 0.0) | (certain > 0.0), taken_for(certain, fastest), loose)
         gone = gone[(taken[gone] > 0.0) & np.any(pace.turn[gone] > 0.0, axis=1)]
-        aside, brief = self._averted(walls[gone], ears[gone], times[gone], half[gone])
-        certain[gone], taken[gone] = np.maximum(certain[gone], aside), np.where(brief, 0.0, taken[gone])
-        return there, certain, taken
-
-    def _averted(self, walls: NDArray[np.int32], ears: Rows, times: Floats, half: Floats) -> tuple[Floats, Bools]:
-        """Return for how long faces that turn are surely so turned that no point of them reflects, (n,) s."""
 
         def pace_of(p: Rows, late: Floats) -> Pace:
-            return self.rates.over(ears[p], times[p] - EARLIER * (half[p] + late), times[p], half[p])
+            n = gone[p]
+            return self.rates.over(ears[n], times[n] - EARLIER * (half[n] + late), times[n], half[n])
 
-        return averted(
-            self.obstacles.mirrors, walls, (self.source, _Ears(self.receivers, ears)), times, pace_of, self.medium
-        )
+        ends = self.source, _Ears(self.receivers, ears[gone])
+        aside, brief = averted(self.obstacles.mirrors, walls[gone], ends, times[gone], pace_of, self.medium)
+        certain[gone], taken[gone] = np.maximum(certain[gone], aside), np.where(brief, 0.0, taken[gone])
+        return there, certain, taken
 
     def _on_faces(self, walls: NDArray[np.int32], place: Floats, when: Floats) -> tuple[Bools, Floats, Floats]:
         """Mask of hits (n, N) on their faces, and distances from borders and from the middles of bodies, m."""
         holds, apart, far = np.zeros(walls.shape, dtype=bool), np.zeros(walls.shape), np.zeros(walls.shape)
         for k in range(walls.shape[1]):
-            for surface in np.unique(walls[:, k]).tolist():
-                p = np.flatnonzero(walls[:, k] == surface)
+            for surface, p in by_value(walls[:, k]):
                 hits = place[p, k + 1], when[p, k + 1]
                 holds[p, k], apart[p, k], far[p, k] = self.obstacles.border(surface, *hits)
         return holds, apart, far
-
-    def _slides(
-        self,
-        walls: NDArray[np.int32],
-        moved: tuple[Floats, Floats],
-        turning: tuple[Floats, Floats, Floats],
-        far: Floats,
-    ) -> Floats:
-        """Speeds of hits (n, N) in the axes of their faces, m/s."""
-        body = self.obstacles.mirrors.owner[walls]
-        rows = np.arange(len(walls))[:, None]
-        slide, (fast, turns, halves) = moved[0][:, 1:-1], turning
-        speed, turn = (x[rows, np.maximum(body, 0)] for x in (fast, turns))
-        late, half = moved[1][:, 1:-1], halves[:, None]
-        away = far + half * (slide + late * speed)
-        return np.asarray(np.where(body == ROOM, slide, slide + late * (speed + turn * away)))
 
     def _free(
         self, walls: NDArray[np.int32], line: Line, change: Drift, pace: Pace, some: Rows, kept: Floats
@@ -156,7 +131,7 @@ class _Ears:
 
     def __init__(self, motions: Sequence[Motion], which: Rows) -> None:
         self._motions, self._which = motions, which
-        self._rows = [(ear, np.flatnonzero(which == ear)) for ear in np.unique(which).tolist()]
+        self._rows = list(by_value(which))
 
     def part(self, rows: Rows) -> _Ears:
         return _Ears(self._motions, self._which[rows])
@@ -180,7 +155,7 @@ class PastBodies:
 
     family: PathFamily
     index: Rows  # (P,) of the pair in it
-    obstacles: Obstacles  # of the scene
+    obstacles: Obstacles  # bodies of the scene alone
     rates: EndRates  # how fast the ends and the bodies are
     medium: UniformAir  # what sound travels in
 
@@ -241,11 +216,10 @@ class PastBodies:
         free = np.ones(shape[0] * shape[1], dtype=bool)
         flat, at = place.reshape(-1, *place.shape[2:]), when.reshape(-1, when.shape[2])
         for leg in range(at.shape[1] - 1):
-            for body in self.family.scene.bodies:
-                rows = np.flatnonzero(free & np.isfinite(at[:, leg + 1]))
-                legs = Legs(flat[rows, leg], flat[rows, leg + 1], at[rows, leg], at[rows, leg + 1])
-                none = np.full(len(rows), -1)
-                free[rows] = ~hidden_by(body, legs, none, none)[0]
+            rows = np.flatnonzero(free & np.isfinite(at[:, leg + 1]))
+            legs = Legs(flat[rows, leg], flat[rows, leg + 1], at[rows, leg], at[rows, leg + 1])
+            none = np.full(len(rows), -1)
+            free[rows] = ~self.obstacles.blocked(legs, none, none)
         return free.reshape(shape)
 
     def status(self, rows: Rows, times: Floats) -> NDArray[np.bool_]:
@@ -270,20 +244,17 @@ class PastBodies:
         speed = np.column_stack([pace.source * late, slides, np.zeros(len(rows))])
         speed[np.arange(len(rows)), order + 1] = pace.receiver
         for leg in range(when.shape[1] - 1):
-            for body, thing in enumerate(self.obstacles.mirrors.bodies):
-                some = np.flatnonzero(free & (order >= leg))
-                at = np.stack([np.full(len(some), leg == 0), order[some] == leg], axis=1)
-                held = pace.held[some] & at[:, None]
-                ends = speed[some, leg], speed[some, leg + 1]
-                sooner = late[some] + np.maximum(*ends) / c
-                changes = LegDrift(*ends, sooner, held, pace.part(some))
-                legs = Legs(place[some, leg], place[some, leg + 1], when[some, leg], when[some, leg + 1])
-                none = np.full(len(some), -1)
-                blocked, certain = hidden_by(thing, legs, none, none, (body, changes))
-                free[some] = ~blocked
-                sure[some] = np.where(blocked, certain, np.minimum(sure[some], certain))
-        jumps = np.any((pace.jolt > 0.0) | (pace.twist > 0.0), axis=1)
-        sure = np.where(jumps & (sure < pace.half), 0.0, sure)
+            some = np.flatnonzero(free & (order >= leg))
+            at = np.stack([np.full(len(some), leg == 0), order[some] == leg], axis=1)
+            ends = speed[some, leg], speed[some, leg + 1]
+            sooner = late[some] + np.maximum(*ends) / c
+            changes = LegDrift(*ends, sooner, pace.held[some] & at[:, None], pace.part(some))
+            legs = Legs(place[some, leg], place[some, leg + 1], when[some, leg], when[some, leg + 1])
+            none = np.full(len(some), -1)
+            blocked, certain = self.obstacles.evaluated(legs, none, none, changes)
+            free[some] = ~blocked
+            sure[some] = np.where(blocked, certain, np.minimum(sure[some], certain))
+        sure = pace.unless_jumps(sure)
         return free, sure, taken_for(sure, np.minimum(np.nanmax(speed, axis=1), FAR) + pace.all_lengths)
 
 

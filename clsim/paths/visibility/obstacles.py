@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Bools, ByRow, Floats, Rows
+from clsim.arrays import Bools, ByRow, Floats, Rows, by_value
 from clsim.paths.legs.events import Events
 from clsim.paths.legs.mirrors import ROOM, Mirrors
 from clsim.paths.visibility.clearance import edges_apart
@@ -97,21 +97,20 @@ class Obstacles:
             local = None if drift is None else local_drift(None, legs, legs.start, legs.stop, drift)
             skipped = (ends[0][:, None] == room.plane) | (ends[1][:, None] == room.plane)
             found, sure = _faced(room, skipped, legs.start, legs.stop, None, local)
+        owner = np.append(self.mirrors.owner, ROOM)  # the last row is that of no mirror
         for body, (thing, face) in enumerate(zip(self.mirrors.bodies, self.mirrors.first.tolist(), strict=True)):
             rows = np.flatnonzero(~found)
-            local_ends = [np.where(self.mirrors.owner[x[rows]] == body, x[rows] - face, -1) for x in (first, last)]
-            local_ends = [np.where(x[rows] < 0, -1, own) for x, own in zip((first, last), local_ends, strict=True)]
+            one, other = (np.where(owner[x[rows]] == body, x[rows] - face, -1) for x in (first, last))
             slack_of = None if drift is None else (body, drift.part(rows))
-            hit, certain = hidden_by(thing, legs.part(rows), local_ends[0], local_ends[1], slack_of)
+            hit, certain = hidden_by(thing, legs.part(rows), one, other, slack_of)
             found[rows], sure[rows] = hit, np.where(hit, certain, np.minimum(sure[rows], certain))
         return found, sure
 
     def border(self, surface: int, places: Floats, times: Floats) -> tuple[Bools, Floats, Floats]:
         """Mask of places (n, 3) on a mirror at times (n,), and distances from its border and the body's middle, m."""
         walls, face, own = self.walls[self.mirrors.owner[surface]], *self._seen(surface, places, times)
-        apart = edges_apart(walls.edges_of(face), own, own)
-        for twin in walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]]:
-            apart = np.minimum(apart, edges_apart(walls.edges_of(int(twin)), own, own))
+        twins = walls.twin[walls.first_twin[face] : walls.first_twin[face + 1]].tolist()
+        apart = np.min([edges_apart(walls.edges_of(each), own, own) for each in (face, *twins)], axis=0)
         body = int(self.mirrors.owner[surface])
         middle = 0.0 if body == ROOM else middle_of(self.mirrors.bodies[body]).place
         return self._holds(surface, places, times), apart, np.linalg.norm(own - middle, axis=1)
@@ -139,9 +138,8 @@ def hidden_by(
 ) -> tuple[Bools, Floats]:
     """Mask of legs that a body blocks, and the time for which that is certain, (n,) s.
 
-    Shapes: first, last (n,).
-    first, last: faces of the body that they begin and end at, which are in the way of none, -1 for none.
-    drift: number of the body, and how fast legs change; without it nothing is certain.
+    The `first` and `last` (n,) faces of the body, at which they begin and end, are in the way of none, -1 for none.
+    Without a `drift`, the number of the body and how fast legs change, nothing is certain.
     As the body sees it a leg is straight while the body goes evenly, and curved by ``w d² / (4 c)`` while it turns: on
     which side of a face its ends are is known, and where it passes that is found by the secant's method. What only the
     curve touches, and not the ends, is not seen.
@@ -149,7 +147,8 @@ def hidden_by(
     walls, found = body.mesh.walls, np.zeros(len(legs.left), dtype=bool)
     middle = middle_of(body)
     reach = _SPARE * middle.radius + 0.5 * middle.fastest * np.abs(legs.arrived - legs.left)
-    beside = _apart(body.placed(middle.place, 0.5 * (legs.left + legs.arrived)), legs) - reach
+    passed = body.placed(middle.place, 0.5 * (legs.left + legs.arrived))
+    beside = np.linalg.norm(passed - _nearest(passed, legs.start, legs.stop), axis=1) - reach
     sure, around = np.zeros(len(found)), beside <= 0.0
     if drift is not None:
         number, all_drift = drift
@@ -159,11 +158,9 @@ def hidden_by(
     near = np.flatnonzero(around)
     some = legs.part(near)
     start, stop = body.seen(some.start, some.left), body.seen(some.stop, some.arrived)
-    local = (
-        None
-        if drift is None
-        else local_drift(number, some, start - middle.place, stop - middle.place, all_drift.part(near))
-    )
+    from_middle, local = (start - middle.place, stop - middle.place), None
+    if drift is not None:
+        local = local_drift(number, some, *from_middle, all_drift.part(near))
     plane = np.append(walls.plane, -1)
     ends = plane[first[near]], plane[last[near]]
     skipped = (ends[0][:, None] == walls.plane) | (ends[1][:, None] == walls.plane)
@@ -230,21 +227,12 @@ def _faced(
     used = ~found[crossed_leg] | hit[crossed_leg, face]
     crossed_leg, face, places, share = crossed_leg[used], face[used], places[used], share[used]
     border = np.empty(len(crossed_leg))
-    for each in np.unique(face).tolist():
-        these = np.flatnonzero(face == each)
+    for each, these in by_value(face):
         border[these] = edges_apart(walls.edges_of(each), places[these], places[these])
-    border = lasts(
-        border,
-        _slides(
-            [h[crossed_leg, face] for h in heights], (start[crossed_leg], stop[crossed_leg]), share,
-            drift.part(crossed_leg),
-        ),
-    )  # fmt: skip
-    sure[crossed_leg, face] = np.where(
-        hit[crossed_leg, face],
-        np.minimum(border, sides[crossed_leg, face]),
-        np.maximum(sure[crossed_leg, face], border),
-    )
+    high, ends = [h[crossed_leg, face] for h in heights], (start[crossed_leg], stop[crossed_leg])
+    border = lasts(border, _slides(high, ends, share, drift.part(crossed_leg)))
+    kept, past = np.minimum(border, sides[crossed_leg, face]), np.maximum(sure[crossed_leg, face], border)
+    sure[crossed_leg, face] = np.where(hit[crossed_leg, face], kept, past)
     blocked = np.where(hit, sure, 0.0).max(axis=1, initial=0.0)
     return found, np.where(found, blocked, np.where(skipped, FAR, sure).min(axis=1, initial=FAR))
 
@@ -259,8 +247,8 @@ def _past(
     sure = lasts(np.maximum(apart - walls.radius - drift.curved[:, None], 0.0), np.broadcast_to(fast, apart.shape))
     sure = np.where(heights[0] * heights[1] > 0.0, np.maximum(sure, sides), sure)
     crossed_leg, face = np.nonzero((sure < drift.half[:, None]) & ~done)
-    for each in np.unique(face).tolist():
-        p = crossed_leg[face == each]
+    for each, these in by_value(face):
+        p = crossed_leg[these]
         reach = _beside(walls, each, start[p], stop[p], [h[p, each] for h in heights]) - drift.curved[p]
         sure[p, each] = np.maximum(sure[p, each], lasts(np.maximum(reach, 0.0), fast[p, 0]))
     return sure
@@ -281,11 +269,6 @@ def _slides(heights: list[Floats], ends: tuple[Floats, Floats], share: Floats, d
     length = np.linalg.norm(ends[1] - ends[0], axis=1)
     slope = np.abs(heights[0] - heights[1]) - 4.0 * drift.curved
     return np.asarray(np.where(slope > 0.0, moved * (1.0 + length / np.where(slope > 0.0, slope, 1.0)), FAR))
-
-
-def _apart(points: Floats, legs: Legs) -> Floats:
-    """Return the distances (n,) of points from legs, m."""
-    return np.asarray(np.linalg.norm(points - _nearest(points, legs.start, legs.stop), axis=1))
 
 
 def _nearest(points: Floats, start: Floats, stop: Floats) -> Floats:

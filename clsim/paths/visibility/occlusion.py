@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +24,10 @@ _EVERYWHERE = np.array([0.0, 0.0, 0.0, -1.0])  # a half-space that holds all poi
 def beam_planes(
     centre: Floats, radius: float, ring: Floats, corners: NDArray[np.int64], normal: Floats, size: float
 ) -> Floats:
-    """Return half-spaces whose intersection holds all that a ball's rays reach behind an aperture.
+    """Return half-spaces (n, m + 1, 4) whose intersection holds all that a ball's rays reach behind an aperture.
 
-    Shapes: centre (n, 3) m; ring (n, m, 3); corners (n,); normal (n, 3).
-    ring: corners of convex apertures, counterclockwise about `normal`; those beyond `corners` repeat the last one.
-    size: of the room, m; edges too short against it to have a direction give no plane.
+    Rings (n, m, 3) are corners of convex apertures, counterclockwise about normals (n, 3); those beyond `corners` (n,)
+    repeat the last one. Edges too short against the room's size, m, to have a direction give no plane.
     A ray from the ball through the aperture stays, behind it, on the inner side of the plane that holds an edge and
     touches the ball from the inner side. A ball that reaches through the aperture's plane has rays to both sides, and
     one that reaches an edge's line has rays in all directions through it: these give no plane.
@@ -94,17 +92,18 @@ def _cut(
     place = np.cumsum(emitted, axis=1) - 1
     count = place[:, -1] + 1
     width = max(ring.shape[1], int(count.max(initial=0)))
-    if width > ring.shape[1]:
-        ring = np.concatenate([ring, np.repeat(ring[:, -1:], width - ring.shape[1], axis=1)], axis=1)
     made = np.zeros((len(cut), width, 3))
     row, column = np.nonzero(emitted)
     made[row, place[row, column]] = source[row, column]
-    filler = np.arange(width) >= count[:, None]
-    tail = made[np.arange(len(cut)), np.maximum(count - 1, 0)]
-    made = np.where(filler[..., None], tail[:, None], made)
-    ring, corners = ring.copy(), corners.copy()
-    ring[cut], corners[cut] = made, count
+    filled = np.minimum(np.arange(width), np.maximum(count - 1, 0)[:, None])
+    ring, corners = widened(ring, width), corners.copy()
+    ring[cut], corners[cut] = np.take_along_axis(made, filled[..., None], axis=1), count
     return ring, corners
+
+
+def widened(ring: Floats, width: int) -> Floats:
+    """Copy polygons (n, m, 3) with room for so many corners: those beyond the last one repeat it."""
+    return ring[:, np.minimum(np.arange(width), ring.shape[1] - 1)]
 
 
 _PAIRS = 20_000  # of beam, wall and receiver looked at at a time
@@ -139,25 +138,30 @@ class Ears:
     first_plane: Ints
 
 
-class Lookup(Protocol):
-    """Looks up walls, on the host or on a device."""
-
-    def crossings(self, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
-        """Crossings of segments and walls."""
-
-    def meetings(self, beams: Beams, sides: Ints, ears: Ears | None) -> tuple[Ints, Ints]:
-        """Return pairs of a beam and a wall that it may meet."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(eq=False)
 class WallLookup:
     """Looks up walls in NumPy."""
 
     walls: Walls  # of the room
 
     def crossings(self, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
-        """Crossings (m,) of segments (n, 3) and walls strictly between their endpoints; see `crossed_pieces`."""
-        return crossed_pieces(self.walls, start, stop)
+        """Crossings (m,) of segments (n, 3) and walls strictly between their endpoints: segment, wall and its piece."""
+        walls = self.walls
+        tolerance = INSIDE * walls.size
+        row, wall = walls.tree.meeting_segments(start, stop, tolerance)
+        normal, offset = walls.normal[wall], walls.offset[wall]
+        before, behind = (np.einsum("ni,ni->n", x[row], normal) - offset for x in (start, stop))
+        crosses = before * behind < 0.0
+        share = before / np.where(crosses, before - behind, 1.0)
+        some = np.flatnonzero(crosses & (share > INNER) & (share < 1.0 - INNER))
+        row, wall, share = row[some], wall[some], share[some]
+        point = start[row] + share[:, None] * (stop[row] - start[row])
+        of, piece = spread(walls.first_piece, wall)
+        line_of, line = spread(walls.first_line, piece)
+        height = np.einsum("ni,ni->n", walls.line[line, :3], point[of[line_of]]) - walls.line[line, 3]
+        holds = np.ones(len(piece), dtype=bool)
+        holds[line_of[height < -tolerance]] = False
+        return row[of[holds]], wall[of[holds]], piece[holds]
 
     def meetings(self, beams: Beams, sides: Ints, ears: Ears | None) -> tuple[Ints, Ints]:
         """Return pairs (m,) of a beam and a wall off its last plane; with `ears` those that a receiver sees."""
@@ -170,6 +174,21 @@ class WallLookup:
             return beam, wall
         leads = self._leads(beams, beam, wall, ears)
         return beam[leads], wall[leads]
+
+    def air_sides(self, place: Floats) -> Ints:
+        """Return the sides of walls on which paths from a place can be: 1 that of the normal, -1 the other, 0 both.
+
+        A path crosses no wall, so that it stays outside of a closed shell, or within it, as its source does: rays from
+        there cross the shell an even number of times, or an odd one.
+        """
+        walls = self.walls
+        stop = place + _RAYS * (walls.size + np.linalg.norm(walls.centre - place, axis=1).max())
+        ray, wall, _ = self.crossings(np.broadcast_to(place, stop.shape), stop)
+        ray, wall = np.unique(np.stack([ray, wall]), axis=1)  # pieces of a wall can share a point
+        crossings = np.zeros((len(_RAYS), int(walls.shell.max()) + 1), dtype=np.int64)
+        np.add.at(crossings, (ray, walls.shell[wall]), 1)
+        inside = np.sum(crossings % 2, axis=0) > len(_RAYS) // 2
+        return np.asarray(np.where(inside[walls.shell], -walls.outward, walls.outward))
 
     def _leads(self, beams: Beams, beam: Ints, wall: Ints, ears: Ears) -> NDArray[np.bool_]:
         """Mask of beams that may reach a receiver by a wall."""
@@ -192,41 +211,6 @@ class WallLookup:
             leads[of[np.flatnonzero(~inside)]] = False
             found[pair[row[leads]]] = True
         return found
-
-
-def crossed_pieces(walls: Walls, start: Floats, stop: Floats) -> tuple[Ints, Ints, Ints]:
-    """Crossings (m,) of segments between places (n, 3), m, and walls strictly between their endpoints."""
-    tolerance = INSIDE * walls.size
-    row, wall = walls.tree.meeting_segments(start, stop, tolerance)
-    normal, offset = walls.normal[wall], walls.offset[wall]
-    before, behind = (np.einsum("ni,ni->n", x[row], normal) - offset for x in (start, stop))
-    crosses = before * behind < 0.0
-    share = before / np.where(crosses, before - behind, 1.0)
-    some = np.flatnonzero(crosses & (share > INNER) & (share < 1.0 - INNER))
-    row, wall, share = row[some], wall[some], share[some]
-    point = start[row] + share[:, None] * (stop[row] - start[row])
-    of, piece = spread(walls.first_piece, wall)
-    line_of, line = spread(walls.first_line, piece)
-    height = np.einsum("ni,ni->n", walls.line[line, :3], point[of[line_of]]) - walls.line[line, 3]
-    holds = np.ones(len(piece), dtype=bool)
-    holds[line_of[height < -tolerance]] = False
-    return row[of[holds]], wall[of[holds]], piece[holds]
-
-
-def air_sides(walls: Walls, place: Floats) -> Ints:
-    """Return on which side of each wall a path from a place can be: 1 that of its normal, -1 the other, 0 both.
-
-    Shapes: place (3,) m.
-    A path crosses no wall, so that it stays outside of a closed shell, or within it, as its source does: rays from
-    there cross the shell an even number of times, or an odd one.
-    """
-    stop = place + _RAYS * (walls.size + np.linalg.norm(walls.centre - place, axis=1).max())
-    ray, wall, _ = crossed_pieces(walls, np.broadcast_to(place, stop.shape), stop)
-    ray, wall = np.unique(np.stack([ray, wall]), axis=1)  # pieces of a wall can share a point
-    crossings = np.zeros((len(_RAYS), int(walls.shell.max()) + 1), dtype=np.int64)
-    np.add.at(crossings, (ray, walls.shell[wall]), 1)
-    inside = np.sum(crossings % 2, axis=0) > len(_RAYS) // 2
-    return np.asarray(np.where(inside[walls.shell], -walls.outward, walls.outward))
 
 
 def in_air(walls: Walls, sides: Ints, sequence: NDArray[np.int32], end: Floats) -> Bools:
@@ -265,10 +249,8 @@ class Views:
 
 
 def open_parts(walls: Walls, views: Views, crossings: Crossings) -> tuple[Floats, Ints]:
-    """Return the apertures without what walls surely hide of them.
+    """Return the apertures (n, k', 3), and their numbers of corners (n,), without what walls surely hide of them.
 
-    Shapes: result (n, k', 3), (n,).
-    crossings: tells walls that segments cross: `crossed_pieces` of the room, or what is told in its place.
     What is taken away cannot be reached from anywhere in the ball, through the window, but through a wall, in neither
     of their planes, by clearly more than validity tolerates. Walls that are crossed on the way to the middle of an
     aperture are looked at. Of what lies beyond such a wall, the ball being before it, a convex piece of it hides what
@@ -289,10 +271,8 @@ def open_parts(walls: Walls, views: Views, crossings: Crossings) -> tuple[Floats
         which, first = np.unique(view[cut], return_index=True)
         at = rows[which]
         left, count = clip_rings(ring[at], corners[at], plane[cut[first], None])
-        if left.shape[1] > ring.shape[1]:
-            ring = ring[:, np.minimum(np.arange(left.shape[1]), ring.shape[1] - 1)]
-        ring = ring.copy()
-        ring[at] = left[:, np.minimum(np.arange(ring.shape[1]), left.shape[1] - 1)]
+        ring = widened(ring, max(ring.shape[1], left.shape[1]))
+        ring[at] = widened(left, ring.shape[1])
         corners[at] = np.where(count >= 3, count, 0)
         rows = at[count >= 3]
     return ring, corners

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import ByRow, Floats, read_only
+from clsim.arrays import ByRow, Floats, by_value, read_only
 from clsim.numerics.quaternions import cross_product, rotate
 from clsim.paths.legs.mirrors import FARTHEST
 from clsim.scene.body import Body
@@ -21,10 +21,8 @@ _CELL = 1e-3  # s, in each of which motions are bounded
 _MOST_CELLS = 1_000_000
 _SLICE = 16_384  # cells bounded at a time
 _APART = 0.01  # of a cell; nearer to where velocities jump none begins
-_SPEED_SPARE, _ACCELERATION_SPARE = (
-    8.0,
-    64.0,
-)  # what an error in the middle of a cubic says of its derivatives, and twice
+# What an error in the middle of a cubic says of its derivatives, and twice.
+_SPEED_SPARE, _ACCELERATION_SPARE = 8.0, 64.0
 _BEFORE = 0.06  # s, before the earliest emission
 
 _ROUNDING = 1e-9  # m/s, rad/s
@@ -92,8 +90,7 @@ class Peaks:
         while np.any(wide := b - a > 1):
             a, b, level = np.where(wide, a // 2, a), np.where(wide, b // 2, b), level + wide
         found = np.empty((len(a), self.levels[0].shape[1]))
-        for each in np.unique(level).tolist():
-            rows = np.flatnonzero(level == each)
+        for each, rows in by_value(level):
             found[rows] = np.maximum(self.levels[each][a[rows]], self.levels[each][b[rows]])
         return found
 
@@ -119,6 +116,11 @@ class Pace(ByRow):
     def all_lengths(self) -> Floats:
         """Sum (n,) of the speeds of all that moves, of points a metre from where bodies turn, m/s."""
         return np.asarray(self.source + self.receiver + np.sum(self.speed + self.turn, axis=1))
+
+    def unless_jumps(self, sure: Floats) -> Floats:
+        """Return times (n,) for which something is certain, s; 0 for those that end before a jump of velocities may."""
+        jumps = np.any((self.jolt > 0.0) | (self.twist > 0.0), axis=1)
+        return np.where(jumps & (sure < self.half), 0.0, sure)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,13 +163,10 @@ class EndRates:
         columns = np.zeros((6, count, len(table.bodies)))
         for i, (peaks, jumps) in enumerate(zip(table.peaks, table.jumps, strict=True)):
             columns[:4, :, i] = peaks.over(emitted, end).T
-            columns[4:, :, i] = (
-                jumps[np.searchsorted(peaks.bounds, end, "right")]
-                - jumps[np.searchsorted(peaks.bounds, emitted, "left")]
-            ).T
+            later, before = np.searchsorted(peaks.bounds, end, "right"), np.searchsorted(peaks.bounds, emitted, "left")
+            columns[4:, :, i] = (jumps[later] - jumps[before]).T
         received, source = np.empty(count), self.source.over(emitted, end)[:, 0]
-        for ear in np.unique(receiver).tolist():
-            rows = np.flatnonzero(receiver == ear)
+        for ear, rows in by_value(receiver):
             received[rows] = self.receivers[ear].over(emitted[rows], end[rows])[:, 0]
         speed, turn, gain, lift, jolt, twist = columns
         return Pace(half, source, received, speed, turn, gain, lift, jolt, twist, self.held[receiver])
@@ -218,9 +217,8 @@ def _body_cells(body: Body, first: float, last: float) -> tuple[Peaks, Floats]:
     jump = np.linalg.norm(np.concatenate(after)[1:] - np.concatenate(before)[:-1], axis=2)
     given = np.stack([jump[:, 0], np.sqrt(0.5 * np.sum(jump[:, 1:] ** 2, axis=1))], axis=1)
     given[given < _ROUNDING] = 0.0
-    return Peaks.of(bounds, values), np.concatenate(
-        [np.zeros((2, 2)), np.cumsum(given, axis=0), np.sum(given, axis=0)[None]]
-    )
+    sums = [np.zeros((2, 2)), np.cumsum(given, axis=0), np.sum(given, axis=0)[None]]
+    return Peaks.of(bounds, values), np.concatenate(sums)
 
 
 def _cubic_peaks(body: Body, begin: Floats, end: Floats) -> tuple[Floats, tuple[Floats, Floats]]:
@@ -233,9 +231,8 @@ def _cubic_peaks(body: Body, begin: Floats, end: Floats) -> tuple[Floats, tuple[
     speed = np.max([np.linalg.norm(x, axis=2) for x in (u, 3.0 * mean - u - v, v)], axis=0)
     speed += _SPEED_SPARE * missed / length[..., 0]
     bends = ((6.0 * mean - 4.0 * u - 2.0 * v) / length, (2.0 * u + 4.0 * v - 6.0 * mean) / length)
-    gain = (
-        np.max([np.linalg.norm(x, axis=2) for x in bends], axis=0) + _ACCELERATION_SPARE * missed / length[..., 0] ** 2
-    )
+    gain = np.max([np.linalg.norm(x, axis=2) for x in bends], axis=0)
+    gain += _ACCELERATION_SPARE * missed / length[..., 0] ** 2
     turn = np.sqrt(0.5 * np.sum(speed[:, 1:] ** 2, axis=1))
     lift = np.sqrt(np.sum(gain[:, 1:] ** 2, axis=1))
     return np.stack([speed[:, 0], turn, gain[:, 0], lift], axis=1), (u, v)

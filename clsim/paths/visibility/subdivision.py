@@ -47,9 +47,9 @@ def certified(
 ) -> tuple[Rows, Floats, Floats]:  # fmt: skip
     """Return when paths are there: which (n,), begins and ends (n,), s, in the order of spans.
 
-    look: takes paths (n,), times (n,) and halves (n,) of the times about them that matter, s; returns whether each is
-    there, for how long before and after that is certain, s, and for how long it is taken to be so where two looks so
-    far before and after agree, s: where a path runs along what decides about it, or nothing is certain.
+    `evaluate` takes paths (n,), times (n,) and halves (n,) of the times about them that matter, s. It returns whether
+    each is there, for how long before and after that is certain, s, and how far apart two evaluations may be that agree
+    where a path runs along what decides about it, or nothing is certain, s.
     """
     which, begin, end = spans
     parts = [np.arange(i, min(i + _EVALUATIONS, len(which))) for i in range(0, len(which), _EVALUATIONS)]
@@ -61,7 +61,7 @@ def certified(
         found.append(_of_part(evaluate, status, (which[part], begin[part], end[part]), resolution, notify))
         done += share
     progress(1.0)
-    path, first, last = (np.concatenate([each[i] for each in found]) for i in range(3))
+    path, first, last = map(np.concatenate, zip(*found, strict=True))
     return path, first, last
 
 
@@ -90,7 +90,7 @@ def _of_part(
         if not np.all(short):
             stack.append(_divided(evaluate, which, tuple(x[~short] for x in gaps)))
         notify(sum(float(np.sum(late - early)) for _, early, late, _, _ in stack) / whole)
-    path, first, last, there, _ = (np.concatenate([each[i] for each in changes]) for i in range(5))
+    path, first, last, there, _ = map(np.concatenate, zip(*changes, strict=True))
     return _joined(spans, at_first, (path, _narrowed(status, which[path], first, last, there, resolution), there))
 
 
@@ -168,11 +168,9 @@ def sampled(
 ) -> tuple[NDArray[np.int64], Floats, Floats]:
     """Return when paths are there: places among `rows` (n,) in order, begins and ends (n,), s.
 
-    Shapes: rows (P,); times (T,) s.
-    status: takes rows (P,) and times (P, T), s; returns whether each path is there at each of its times.
-    nearby: takes rows (P,) and some of the times; returns what takes places among these rows (n,) and times (n, T)
-    within these for about `status`. Where that finds a change, two looks say whether it is one; else it is found by
-    looks.
+    `status` takes rows (P,) and times (P, T), s, and returns whether each path is there at each of its times. `nearby`
+    takes rows (P,) and some of the times (T,), and returns an approximation of `status` by places among these rows.
+    Where that finds a change, two evaluations say whether it is one; else it is found by evaluations.
     """
     there = np.zeros((len(rows), len(times)), dtype=bool)
     found: list[tuple[Any, Any, Any]] = [(np.empty(0, dtype=np.int64),) * 2 + (np.empty(0),)]
@@ -186,7 +184,7 @@ def sampled(
             path, gap = np.nonzero(seen[:, 1:] != seen[:, :-1])
             span = times[here][gap], times[here][gap + 1]
             found.append((part[path], gap + first, _found(status, quick, (rows[part], path), span, resolution)))
-    path, gap, change = (np.concatenate([each[i] for each in found]) for i in range(3))
+    path, gap, change = map(np.concatenate, zip(*found, strict=True))
     # In the order of time each path's changes are begins and ends in turn.
     early, late = np.flatnonzero(there[:, 0]), np.flatnonzero(there[:, -1])
     rising = ~there[path, gap]
@@ -249,16 +247,12 @@ def coded(
 ) -> tuple[Rows, Floats, Floats, Codes]:
     """Return rows (n,), when each begins and ends to be as a code says (n,), s, and the codes (n,), 0 or more.
 
-    Shapes: looks (rows, times) s.
-    codes: takes rows (P,) and times (P, T), s; returns how each path is at each of its times, below 0 where it is not
-    there.
-    looks: rows (P,) with the times (T,) at which to look at them, s; each row once. What comes and goes between two of
-    the times is missed unless something else changes there, too.
+    `codes` takes rows (P,) and times (P, T), s, and returns how each path is at each of its times, below 0 where it is
+    not there. Evaluations are rows (P,) with their times (T,), s; each row once. What comes and goes between two of the
+    times is missed unless something else changes there, too.
     """
-    found, gaps = (
-        [(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int8))],
-        [(*[np.empty(0)] * 3, *[np.empty(0, np.int8)] * 2)],
-    )
+    found = [(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int8))]
+    gaps = [(*[np.empty(0)] * 3, *[np.empty(0, np.int8)] * 2)]
     last = np.empty(sum(len(rows) for rows, _ in evaluations))
     for rows, times in evaluations:
         seen = evaluated(codes, rows, np.broadcast_to(times, (len(rows), len(times))), _CODES)
@@ -266,7 +260,7 @@ def coded(
         found.append((rows, np.full(len(rows), times[0]), seen[:, 0]))
         gaps.append((rows[path], times[gap], times[gap + 1], seen[path, gap], seen[path, gap + 1]))
         last[rows] = times[-1]
-    path, begin, stop, code, then = (np.concatenate([gap[i] for gap in gaps]) for i in range(5))
+    path, begin, stop, code, then = map(np.concatenate, zip(*gaps, strict=True))
     path = path.astype(np.int64)
     while len(path):
         change = first_change(codes, path, (begin, stop), code, resolution, _CODES)
@@ -274,7 +268,7 @@ def coded(
         found.append((path, change, after))
         more = (after != then) & (change < stop)
         path, begin, stop, code, then = (x[more] for x in (path, change, stop, after, then))
-    path, when, code = (np.concatenate([each[i] for each in found]) for i in range(3))
+    path, when, code = map(np.concatenate, zip(*found, strict=True))
     order = np.lexsort((when, path))
     path, when, code = path[order], when[order], code[order]
     until = last[path]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.numerics.convolution import convolved
-from clsim.paths.impulse_response import ImpulseResponse, ResponseBand, frozen_responses
+from clsim.paths.channel import ImpulseResponse, ResponseBand, frozen_responses
 from clsim.render.contributions import Stateless, digest_of
 from clsim.render.interpolator import Bandlimited
 from clsim.render.options import RenderOptions

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import Floats, ranges
 from clsim.paths.family import PathFamily
 from clsim.render.plan import BATCH, Plan
 from clsim.tracks.splines import audible_samples
@@ -131,15 +131,12 @@ class PathBatch:
             half = 0.5 * bounds.ramp
             low = np.clip((place - half - start) / block, -1.0, blocks)
             high = np.clip((place + half - start) / block, -1.0, blocks)
-            low, high = np.floor(low).astype(np.int64), np.floor(high).astype(np.int64)
+            begin, last = np.floor(low).astype(np.int64), np.floor(high).astype(np.int64)
             if bounds.ramp == 0.0:
-                high = np.where(place - start == high * block, low - 1, high)  # between blocks: nothing to do
-            high = np.minimum(high, blocks - 1)
-            low = np.maximum(low, 0)
-            count = np.where(self.padding, 0, np.maximum(high - low + 1, 0))
-            which = np.repeat(np.arange(self.count), count)
-            found.append((which, low[which] + np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)))
-        slot, at = (np.concatenate([f[i] for f in found]) for i in range(2))
+                last = np.where(place - start == last * block, begin - 1, last)  # between blocks: nothing to do
+            begin = np.maximum(begin, 0)
+            found.append(ranges(begin, np.where(self.padding, begin, np.clip(last + 1, begin, blocks))))
+        slot, at = np.concatenate(found, axis=1)
         if not len(slot):
             return None
         slot, at = np.unique(np.stack([slot, at]), axis=1)
@@ -147,12 +144,12 @@ class PathBatch:
         order = np.lexsort((slot, at, pair))
         slot, at, pair = slot[order], at[order], pair[order]
         new = np.flatnonzero(np.diff(pair * np.int64(blocks) + at, prepend=-1))
-        begin = (start + at * block).astype(np.float64)
+        origin = (start + at * block).astype(np.float64)
         far = 2.0**23
 
         def here(place: Floats) -> NDArray[Any]:
             """Return sample indices of the run from its beginning, bounded to the exact range of float32."""
-            return np.asarray(np.clip(place[slot] - begin, -far, far), dtype=np.float32)
+            return np.asarray(np.clip(place[slot] - origin, -far, far), dtype=np.float32)
 
         return Fades(
             slot.astype(np.int32), at.astype(np.int32), here(bounds.start), here(bounds.end),
@@ -188,9 +185,8 @@ def in_batches(
 ) -> list[PathBatch]:  # fmt: skip
     """Cut a source's pairs into batches of slots: as many as fit the budget of nodes in blocks of a length, bytes.
 
-    All pairs of a batch have their nodes made by the same maker, which the kind stands for, and as many channels. No
-    receiver is in it twice, with paths of two kinds or too many for a launch: work-groups that add to the same samples
-    would race.
+    All pairs of a batch have the same maker of nodes, which the kind stands for, and as many channels. No receiver is
+    in it twice: work-groups that add to the same samples would race.
     """
     batches = list[list[ActivePaths]]()
     count, last, there = 0, None, set[int]()
@@ -233,9 +229,8 @@ def fill_batch(plan: Plan, active: list[ActivePaths], apart: int = 1) -> PathBat
 def _boundaries(plan: Plan, pairs: list[int], rows: list[NDArray[np.int64]], padding: NDArray[np.bool_]) -> Boundaries:
     """Find the times at which paths, rows of some pairs, begin and end."""
     rate, transition = plan.sampling_rate, plan.tracks.transition
-    members = [plan.tracks.pairs[i] for i in pairs]
-    start = np.concatenate([g.start[r] for g, r in zip(members, rows, strict=True)])
-    end = np.concatenate([g.end[r] for g, r in zip(members, rows, strict=True)])
+    members = [(plan.tracks.pairs[i], r) for i, r in zip(pairs, rows, strict=True)]
+    start, end = (np.concatenate(x) for x in zip(*((m.start[r], m.end[r]) for m, r in members), strict=True))
     first, last = audible_samples(start, end, transition, rate)
     # Ends before it begins: an empty interval within a block that begins before 0 s would count as active.
     first[padding], last[padding] = _NEVER, -_NEVER

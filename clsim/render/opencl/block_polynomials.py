@@ -16,28 +16,26 @@ from clsim.arrays import Floats
 
 GAIN_ERROR = {4: 0.02, 8: 0.03}  # of the last differences of gains, by the terms of delays; see `block_error`
 SMOOTH_SHARE = 0.1  # of the square of the error between nodes: what gains of neighbouring blocks may add to it
-SMOOTH_ERROR = 0.03  # of the fourth differences of gains between cells, see `cell_polynomials`
+# Of the fourth differences of gains between cells: the error of the cubic between the middle nodes of five is 0.0234.
+SMOOTH_ERROR = 0.03
 
 
 def block_polynomials(
     delay: Floats, rate: Floats, gain: Floats, block: int, sampling_rate: float, delay_samples: float,
     oversampling: int = 1, terms: int = 4,
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:  # fmt: skip
-    """Return whole delays, and polynomials on [-1, 1] of the rest and of the gain.
+    """Return whole delays (blocks, paths), samples, and polynomials (blocks, terms + 4 K, paths) of rests and gains.
 
-    Shapes: delay, rate (paths, blocks + 3); gain (K, paths, blocks + 3), at the nodes: one before the first block, its
-    start, ..., two after the last block's start; result (blocks, paths), (blocks, terms + 4 K, paths), lowest power
-    first. Delays are told in samples of the branch signals, `oversampling` to one of the block, by Hermite's cubic
-    through the block's ends, or of 8 `terms` his septic through all four nodes. Gains are Catmull-Rom's cubic, or the
-    one through all four nodes.
+    Delays and rates (paths, blocks + 3) and gains (K, paths, blocks + 3) are those of nodes from one before the first
+    block to two after the last block's start. Delays are Hermite's cubics through the block's ends, or septics of 8
+    `terms` through all four nodes; gains Catmull-Rom's cubics, or those through all four nodes.
     """
+    places = delay * (oversampling * sampling_rate) + delay_samples
+    change = rate * (0.5 * oversampling * block)
     if terms == 8:
-        delay_terms = _septic(delay * sampling_rate + delay_samples, rate * (0.5 * block))
+        delay_terms = _septic(places, change)
     else:
-        per_second, half = oversampling * sampling_rate, 0.5 * oversampling * block
-        p0, p1 = delay[:, 1:-2] * per_second + delay_samples, delay[:, 2:-1] * per_second + delay_samples
-        e0, e1 = rate[:, 1:-2] * half, rate[:, 2:-1] * half
-        delay_terms = _centred(p0, p1, e0, e1)
+        delay_terms = _centred(places[:, 1:-2], places[:, 2:-1], change[:, 1:-2], change[:, 2:-1])
     g0, g1, g2, g3 = _nodes(gain)
     gain_terms = _through(g0, g1, g2, g3) if terms == 8 else _centred(g1, g2, 0.25 * (g2 - g0), 0.25 * (g3 - g1))
     whole = np.rint(delay_terms[0])
@@ -82,30 +80,6 @@ def block_error(
     return np.asarray(np.hypot(angular_frequency * delay_samples * level, change))
 
 
-def cell_polynomials(gain: Floats, cell: int, blocks: int) -> tuple[Floats, Floats]:
-    """Return the gains' cubics on the blocks of a cell, and their error, from nodes between cells.
-
-    Shapes: gain (..., cells + 1); result (4, ..., blocks).
-
-    The polynomial of degree 4 through the five nodes about the cell. What is told is the error of the cubic, between
-    its middle nodes at most 0.0234 (0.03 is used) of the fourth difference: that of degree 4 is better by as much as
-    differences fall. Its fourth power is left out within a block, where it is 1/98304 of that difference.
-    """
-    from numpy.polynomial import polynomial
-
-    first = min(max(cell - 1, 0), gain.shape[-1] - 5)
-    near = gain[..., first : first + 5]
-    place = np.arange(5.0) - (cell - first + 0.5)
-    power = np.einsum("pn,...n->p...", np.linalg.inv(np.vander(place, increasing=True)), near)
-    middle = (np.arange(blocks) + 0.5) / blocks - 0.5
-    terms = []
-    for order in range(4):
-        taken = polynomial.polyder(power, order) if order else power
-        scale = (0.5 / blocks) ** order / math.factorial(order)
-        terms.append(scale * polynomial.polyval(middle, taken, tensor=True))
-    return np.stack(terms), SMOOTH_ERROR * np.abs(np.diff(near, 4, axis=-1)[..., 0])
-
-
 def between(gain: Floats, every: int) -> tuple[Floats, Floats]:
     """Return gains (..., n) at all nodes by degree 4 from those at every so many, and a bound of their error."""
     weights = _between(gain.shape[-1], every)
@@ -137,10 +111,7 @@ def _through(g0: Floats, g1: Floats, g2: Floats, g3: Floats) -> list[Floats]:
 
 
 def _fourth(gain: Floats) -> Floats:
-    """Return the fourth differences of gains (K, paths, blocks + 3), estimated for each block from four nodes.
-
-    The third one, times by how much that is below the second, or the second below the first, whichever is less.
-    """
+    """Estimate the fourth differences of gains (K, paths, blocks) from the third ones and how fast differences fall."""
     g0, g1, g2, g3 = _nodes(gain)
     first, second, third = np.abs(g2 - g1), 0.5 * np.abs(g3 - g2 - g1 + g0), np.abs(np.diff(gain, 3, axis=2))
     last, before = (np.minimum(a / np.maximum(b, 1e-30), 1.0) for a, b in ((third, second), (second, first)))

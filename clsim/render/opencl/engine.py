@@ -119,10 +119,10 @@ class Run:
             type(self)(self._engine, task).render(int(self._promising_levels(error, level).min()))
 
     def _errors(self, nodes: Any, first: int, *, divides: bool) -> tuple[Floats, NDArray[np.bool_]]:
-        """Errors (segments,) of blocks relative to the received level, at the receiver of the largest, and few paths.
+        """Errors (segments,) of blocks relative to the received level, and a mask (segments, slots) of few paths.
 
-        At edges, by scatterers and by bodies it is all that was rendered before, too: reflections come first. The mask
-        (segments, slots) is that of the few paths for which alone others would need shorter blocks.
+        For these alone the others would need shorter blocks. At edges, by scatterers and by bodies the level is also
+        that of all that was rendered before: reflections come first.
         """
         level, begins = self._engine.residuals[self._source].level, self._batch.first_slot
         few = np.zeros(nodes.squares.shape[1:], dtype=np.bool_)
@@ -314,14 +314,12 @@ class OpenclEngine:
         self.residuals, self.coarse = other.residuals, other.coarse
 
     def kind(self, pair: int) -> PathFamily | None:
-        """Return the kind of paths of a pair for which the device has a program of nodes; None for the host.
-
-        Without float64 there is none for envelopes, whose delays are septics, and for wind.
-        """
+        """Return the kind of paths of a pair for which the device has a program of nodes; None for the host."""
         plan, of_scene = self._plan, self._plan.tracks.of_scene
         if of_scene is None or not plan.tracks.on_device:
             return None
         family, member, scene = of_scene.pair_paths[pair].family, of_scene.pairs[pair], of_scene.paths.scene
+        # Without float64 there is none for envelopes, whose delays are septics, and for wind.
         in_pairs = plan.baseband is None and scene.air.wind is None
         known = COLUMNS.keys() if self._info.fp64 else {"images"} if in_pairs else set()
         gains = len(member.channels) * len(plan.source_filters[member.source].basis)

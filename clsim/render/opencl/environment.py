@@ -13,15 +13,13 @@ from clsim.acoustics.diffraction import end_coefficients, transition
 from clsim.arrays import Complexes, Floats
 from clsim.numerics.quaternions import rotate
 from clsim.numerics.sphere import harmonic_norms
-from clsim.paths.response import SceneResponse, covered, directivity_gain
+from clsim.paths.response import SceneResponse, Walls, covered, directivity_gain
 from clsim.scene.directivity.directivity import AxisymmetricDirectivity, ChannelDirectivity, Directivity
 from clsim.scene.directivity.patterns import NORMALIZATIONS, Ambisonic, Omni
 from clsim.scene.ends import Receiver
 from clsim.scene.material.material import Material
 from clsim.scene.scene import Scene
 from clsim.tracks.basis import Basis
-
-Walls = NDArray[np.signedinteger[Any]]
 
 CELLS = 1024  # of a table over an angle; its cubics are within 1e-9 for a piston of ka = 10
 FACE_CELLS = 96  # of a table over a sphere along a face of the cube

@@ -85,10 +85,7 @@ class HostNodeMaker:
         self, source: int, times: Floats, block: int, tracks: tuple[Floats, Floats, Floats],
         active: tuple[NDArray[np.int32], NDArray[np.int32]],
     ) -> tuple[NDArray[np.int32], NDArray[np.float32], Floats]:  # fmt: skip
-        """Return whole delays, polynomials and squares (2, segments, P) of errors and levels of some paths.
-
-        They are made of delays, rates and gains at nodes; `active` (P, 1) are samples of the run.
-        """
+        """Return whole delays, polynomials and squares (2, segments, P) of errors and levels of paths."""
         plan, filters, (delay, change, gain) = self._plan, self._plan.source_filters[source], tracks
         rate, terms = plan.sampling_rate, plan.delay_terms
         whole, made = block_polynomials(
@@ -247,8 +244,8 @@ class PairNodeMaker(NodeMaker):
         self, chunk: DeviceChunk, start: int, segments: int, receivers: NDArray[Any], more: dict[str, Any]
     ) -> None:
         rate, filters, block = self._plan.sampling_rate, self._plan.source_filters[chunk.source], more["block_samples"]
-        trajectory = chunk.trajectory.copy()
-        origin = trajectory.pop("first_knot")
+        paths = chunk.paths.copy()
+        origin = paths.pop("first_knot")
         first, last = filters.emitted_between(rate)
         c, times = self._media[chunk.source]["speed_of_sound"], filters.oversampling
         numbers = [
@@ -263,7 +260,7 @@ class PairNodeMaker(NodeMaker):
         constants = self._constants(chunk.source, chunk.batch) | {"SPARSE": int(more["activity"] is not None)}
         kernel = self._compiler.kernel("pair_tracks", constants)
         kernel(
-            self._queue, work(chunk.batch.count, segments), **chunk.images, **chunk.columns, **trajectory, **more,
+            self._queue, work(chunk.batch.count, segments), **paths, **more,
             receivers=given, numbers=pairs(np.array(numbers)), speed_of_sound=c, emitted_first=first - origin,
             emitted_last=last - origin,
         )  # fmt: skip

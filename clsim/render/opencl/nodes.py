@@ -44,13 +44,9 @@ class DeviceChunk:
     source: int
     batch: PathBatch
     start: int  # sample
-    images: dict[str, Any]
-    columns: dict[str, Any]
-    field: dict[str, Any]
+    paths: dict[str, Any]  # arguments of every program of nodes
+    exact: dict[str, Any]  # those of programs in float64 alone
     bounds: Boundaries
-    coarse: dict[str, Any]
-    trajectory: dict[str, Any]
-    poses: dict[str, Any]
     cells: dict[str, Any] | None
     first: int  # sample of the branches
     turn: float  # at which the source's beam turns at most, rad/s
@@ -114,15 +110,12 @@ class NodeMaker:
             (start + length) / rate - shortest + spare,
             self._knot_rates[source], sideways=env.source_kind == SPHERICAL,
         )  # fmt: skip
-        images = self._views(source, rows) | self._uploaded(receiver_of=receiver_of)
+        paths = self._views(source, rows) | self._uploaded(receiver_of=receiver_of) | self._trajectory(knots)
+        paths |= {"knot_count": len(knots), "first_knot": knot_first, "knot_rate": self._knot_rates[source]}
+        exact = self._columns.poses(start / rate - longest - spare, (start + length) / rate - shortest + spare)
+        exact |= self._coarse_delays(source, batch, paths | exact, start, -(-length // plan.segment) + 3)
         wall_of, normal = self._columns.bounces(source, rows)
-        columns = self._uploaded(reflection=reflection, wall_of=wall_of, normal=normal)
-        trajectory = self._trajectory(knots) | {
-            "knot_count": len(knots), "first_knot": knot_first, "knot_rate": self._knot_rates[source],
-        }  # fmt: skip
-        poses = self._columns.poses(start / rate - longest - spare, (start + length) / rate - shortest + spare)
-        paths = images | trajectory | poses
-        coarse = self._coarse_delays(source, batch, paths, start, -(-length // plan.segment) + 3)
+        paths |= self._uploaded(reflection=reflection, wall_of=wall_of, normal=normal)
         cells = None
         if activity is not None and start + length - first < self.most_counted:
             cells = self._uploaded(active_cells=np.stack([activity.following, activity.preceding]))
@@ -130,10 +123,8 @@ class NodeMaker:
         turn = 0.0
         if env.source_kind != OMNI:
             turn = self._knot_rates[source] * _largest_turn(knots[:, CUBIC_COLUMNS : CUBIC_COLUMNS + 3])
-        field = self._columns.field(source, rows)
-        return DeviceChunk(
-            source, batch, start, images, columns, field, bounds, coarse, trajectory, poses, cells, first, turn
-        )
+        exact |= self._columns.field(source, rows)
+        return DeviceChunk(source, batch, start, paths, exact, bounds, cells, first, turn)
 
     def _views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
         """Images of paths (slots,) and what their leg and vertex add, as the program takes them."""
@@ -226,9 +217,8 @@ class NodeMaker:
         constants |= OF_GAINS | {"KNOWN_AT": self._columns.known_at}
         kernel = self._compiler.kernel("tracks", constants | self._exact_constants(source))
         kernel(
-            self._queue, work(chunk.batch.count, segments), **chunk.images, **chunk.columns, **chunk.trajectory, **more,
-            **chunk.field, **chunk.poses, **chunk.coarse, **self._media[source], receivers=receivers,
-            start=start / rate,
+            self._queue, work(chunk.batch.count, segments), **chunk.paths, **chunk.exact, **more, **self._media[source],
+            receivers=receivers, start=start / rate,
             first_segment=(start - chunk.start) // segment, sampling_rate=rate, emitted_first=first, emitted_last=last,
             delay_samples=filters.delay_samples, oversampling=filters.oversampling,
             smooth=self._smooth(chunk, receivers, more["block_samples"]),
@@ -242,10 +232,7 @@ class NodeMaker:
         }  # fmt: skip
 
     def _smooth(self, chunk: DeviceChunk, receivers: NDArray[Any], block: int) -> float:
-        """Return the allowed error of gains between nodes, squared and relative; 0 if all nodes are evaluated.
-
-        They are where beams turn fast or lack symmetry: tables over a sphere have bends between such nodes.
-        """
+        """Return the allowed error of gains between nodes, squared and relative; 0 where beams turn fast or bend."""
         env, turn = self._environments[chunk.source], chunk.turn * block / self._plan.sampling_rate
         kind = env.reception(self._channels(chunk.batch)).kind
         if SPHERICAL in (env.source_kind, kind):
@@ -285,24 +272,14 @@ class NodeMaker:
         retarded, env = self._tracks.kinematics.retarded, self._environments[source]
         reception = env.reception(self._channels(batch))
         functions = len(self._plan.source_filters[source].basis) * reception.channels
-        return (
-            self._motion_constants(source)
-            | TABLES
-            | {
-                "CELL": CELL,
-                "DELAY_TERMS": self._plan.delay_terms,
-                "FUNCTIONS": 1 if functions == 1 else -(-functions // VECTOR) * VECTOR,  # room for so many
-                "FREQUENCIES": env.count,
-                "PARTS": env.parts,
-                "AIR_TERMS": env.air_terms,
-                "CUBIC_COLUMNS": CUBIC_COLUMNS,
-                "MACH_EXPONENT": self._tracks.kinematics.exponent if retarded else 0,
-                "SOURCE_DIRECTIVITY": env.source_kind,
-                "RECEIVER_DIRECTIVITY": reception.kind,
-                "CHANNELS": reception.channels,
-                "GAIN_ERROR": np.float32(GAIN_ERROR[self._plan.delay_terms]),
-            }
-        )
+        room = 1 if functions == 1 else -(-functions // VECTOR) * VECTOR  # for so many functions
+        return self._motion_constants(source) | TABLES | {
+            "CELL": CELL, "DELAY_TERMS": self._plan.delay_terms, "FUNCTIONS": room, "FREQUENCIES": env.count,
+            "PARTS": env.parts, "AIR_TERMS": env.air_terms, "CUBIC_COLUMNS": CUBIC_COLUMNS,
+            "MACH_EXPONENT": self._tracks.kinematics.exponent if retarded else 0,
+            "SOURCE_DIRECTIVITY": env.source_kind, "RECEIVER_DIRECTIVITY": reception.kind,
+            "CHANNELS": reception.channels, "GAIN_ERROR": np.float32(GAIN_ERROR[self._plan.delay_terms]),
+        }  # fmt: skip
 
     def _receivers_at(self, batch: PathBatch, times: Floats) -> NDArray[Any]:
         """Return motion and clock of a batch's receivers, (receivers, nodes), with one node if all are at rest."""

@@ -19,13 +19,13 @@ from clsim.acoustics.sphere import LEFT_OUT, sphere_modes
 from clsim.arrays import Floats
 from clsim.errors import InputError
 from clsim.paths.cubics import FACE_COLUMNS, POSE_COLUMNS, face_knots, face_rate, pose_knots, pose_rate
-from clsim.paths.family import Rows
+from clsim.paths.family import Links, Rows
 from clsim.paths.legs.events import BEYOND_LEG
 from clsim.paths.legs.mirrors import ROOM
-from clsim.paths.links import Links
+from clsim.paths.response import Walls
 from clsim.paths.vertices.edge_field import BOTH, least_angle
 from clsim.paths.vertices.scatterer_paths import PATIENCE
-from clsim.render.opencl.environment import Environment, Walls, end_table, field_tables, transition_table
+from clsim.render.opencl.environment import Environment, end_table, field_tables, transition_table
 from clsim.render.plan import Plan
 from clsim.tracks.basis import Basis
 from clsim.tracks.tracks import SceneTracks
@@ -61,12 +61,8 @@ OF_GAINS = {
 }  # fmt: skip
 _SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere": SPHERE}
 # Structures of kernels/nodes/path.h.
-_TWO_SIDES = [
-    ("source_turn", "f8", 9),
-    ("source_shift", "f8", 3),
-    ("receiver_turn", "f8", 9),
-    ("receiver_shift", "f8", 3),
-]
+_PARTS = (("turn", 9), ("shift", 3))
+_TWO_SIDES = [(f"{end}_{part}", "f8", count) for end in ("source", "receiver") for part, count in _PARTS]
 EDGE_VIEW = np.dtype(
     [*_TWO_SIDES, ("n", "f8"), ("low", "f8", 2), ("wide", "f8", 2), ("narrow", "f8", 2), ("even", "f8", 2),
      ("odd", "f8", 2), ("end", "f8"), ("lit", "i4", 4), ("end_side", "i4"), ("face", "i4", 2), ("bounces", "i4", 2),
@@ -99,15 +95,19 @@ class Rendered:
         return float(10 ** (self.plan.motion_error_db / 20) * speed / (2.0 * math.pi * swiftest))
 
 
+@dataclass(eq=False)
 class StaticColumns:
     """Columns of paths by one static leg: images."""
+
+    _of: Rendered
 
     leg, vertex, mirrors = STATIC, NONE, 0
     state_numbers = 0  # of the state that goes with a delay, see kernels/nodes/path.h
     known_at = 1  # frequencies at which the strength of an outline's points is known
 
-    def __init__(self, of: Rendered) -> None:
-        self._of, self._family = of, of.family
+    @property
+    def _family(self) -> Any:
+        return self._of.family
 
     @property
     def constants(self) -> dict[str, int]:

@@ -10,11 +10,10 @@ import numpy as np
 
 import clsim
 from clsim.arrays import Floats
-from clsim.paths.arrivals import RETARDED, Arrivals, Kinematics
 from clsim.paths.family import DIFFRACTION, PathFamily, Rows
 from clsim.paths.options import PathOptions
 from clsim.paths.propagation import arrivals_by, straight
-from clsim.paths.response import SceneResponse
+from clsim.paths.response import RETARDED, Arrivals, Kinematics, SceneResponse
 
 POINT, ALONG = np.array([4.0, 3.0, 2.0]), np.array([0.6, 0.8, 0.0])
 GAIN = 0.3

@@ -6,7 +6,7 @@ from test_edge_search import BOARDS, room_of, search
 
 from clsim.paths.search.edge_gaps import PARTS, Fans, cotangents, fans_of_ends, in_air, open_gaps, segment_off, unhidden
 from clsim.paths.visibility.clearance import mirrored
-from clsim.paths.visibility.occlusion import crossed_pieces
+from clsim.paths.visibility.occlusion import WallLookup
 
 EDGES, WALLS = room_of(BOARDS).edges(), room_of(BOARDS).walls
 COUNT = len(EDGES)
@@ -18,7 +18,7 @@ def blocked(start: np.ndarray, stop: np.ndarray) -> np.ndarray:
     """Mask of lines (n, 3) to (n, 3) that a wall crosses off their ends."""
     shift = 1e-4 * (stop - start)
     hidden = np.zeros(len(start), dtype=bool)
-    hidden[crossed_pieces(WALLS, start + shift, stop - shift)[0]] = True
+    hidden[WallLookup(WALLS).crossings(start + shift, stop - shift)[0]] = True
     return hidden
 
 

@@ -137,7 +137,7 @@ def test_paths_of_another_scene_are_refused(scene: clsim.Scene) -> None:
     with pytest.raises(clsim.InputError, match="families"):
         clsim.PathSet(scene, ())
     with pytest.raises(clsim.InputError, match=r"legs.*one row per path"):
-        replace(paths.families[0], legs=(paths.families[0].legs[0].part(slice(3)),))
+        clsim.PathSet(scene, (replace(paths.families[0], legs=(paths.families[0].legs[0].part(slice(3)),)),))
 
 
 def test_corners_of_paths_in_a_shoebox_are_in_it() -> None:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.paths.arrivals import RETARDED, Arrivals
 from clsim.paths.propagation import SpeedRange, UniformAir, arrivals_by, contract_delay, straight
+from clsim.paths.response import RETARDED, Arrivals
 
 C, WIND = 340.0, (30.0, -8.0, 5.0)
 FLYING = clsim.Trajectory.circle((0.0, 0.0, 1.0), 2.0, 0.25, 1.0)  # 50 m/s

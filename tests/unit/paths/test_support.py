@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import clsim
-from clsim.paths.chain import DEVICE, HOST, MEDIA, METHODS, REFUSED, SUPPORT, media_of, program_of, support_tables
+from clsim.paths.chain import DEVICE, HOST, MEDIA, REFUSED, SUPPORT, media_of, program_of
 from clsim.render.methods import sampled_channel, static
 from clsim.render.opencl.path_columns import COLUMNS
 from clsim.render.options import RenderOptions
@@ -18,6 +18,13 @@ AIRS = {
     "wind": clsim.Air(wind=(3.0, 0.0, 0.0)),
     "air by height": clsim.Air((20.0, 24.0), heights=(0.0, 3.0)),
     "fluctuating air": clsim.Air(fluctuation=clsim.Fluctuation(2e-6, 0.2, 0.3, 3)),
+}
+# Methods of rendering, and the media in which they take pairs whose paths change with both ends alone.
+METHODS = {
+    "sum over paths": MEDIA,
+    "narrow bands": MEDIA,
+    "convolution (pairs at rest)": MEDIA[:3],
+    "sampled channels": MEDIA[:3],
 }
 # Options of `find_paths`, and what is added to the scene, for kinds of chains.
 FOUND = {
@@ -109,6 +116,17 @@ def test_methods_take_pairs_where_the_matrix_says(medium: str) -> None:
     tracks = track(clsim.find_paths(scene(AIRS[medium]), 0, engine="reference"))
     for name, can in (("convolution (pairs at rest)", static.can), ("sampled channels", sampled_channel.can)):
         assert (can(tracks, options, 0) is None) == (medium in METHODS[name]), name
+
+
+def support_tables() -> str:
+    """Write the matrix as tables of a page: paths by media, and methods by media."""
+    head = f"{' | '.join(MEDIA)} |\n|{'---|' * (len(MEDIA) + 1)}"
+    rows = [f"| {row.paths} | {' | '.join(row.where)} |" for row in SUPPORT.values()]
+    methods = [
+        f"| {name} | {' | '.join('yes' if medium in media else 'no' for medium in MEDIA)} |"
+        for name, media in METHODS.items()
+    ]
+    return "\n".join([f"| nodes of paths by | {head}", *rows, "", f"| method | {head}", *methods])
 
 
 def test_page_of_limitations_shows_the_matrix() -> None:

@@ -15,9 +15,7 @@ from clsim.paths.visibility.occlusion import (
     Ears,
     Views,
     WallLookup,
-    air_sides,
     beam_planes,
-    crossed_pieces,
     open_parts,
 )
 from clsim.scene.room.walls import Walls
@@ -54,7 +52,7 @@ def dense_crossings(walls: Walls, start: np.ndarray, stop: np.ndarray) -> set[tu
 def test_no_crossing_is_lost_among_the_boxes(make, rng) -> None:
     room = make(rng)
     start, stop = rng.uniform(*room.extent, (2, 300, 3))
-    row, wall, piece = crossed_pieces(room.walls, start, stop)
+    row, wall, piece = WallLookup(room.walls).crossings(start, stop)
     assert set(zip(row.tolist(), wall.tolist(), strict=True)) == dense_crossings(room.walls, start, stop)
     assert np.all((room.walls.first_piece[wall] <= piece) & (piece < room.walls.first_piece[wall + 1]))
 
@@ -100,7 +98,7 @@ def test_what_can_be_seen_is_never_taken_for_hidden(make: Callable, radius: floa
     lost, left, seen = 0, 0, 0
     for centre in rng.uniform(low + 0.1 * (high - low), high - 0.1 * (high - low), (6, 3)):
         views = views_of(walls, centre, radius)
-        ring, corners = open_parts(walls, views, lambda a, b: crossed_pieces(walls, a, b))
+        ring, corners = open_parts(walls, views, WallLookup(walls).crossings)
         left += int(np.sum(corners == 0))
         lost += int(np.sum((corners > 0) & ~np.all(ring[:, : views.ring.shape[1]] == views.ring, axis=(1, 2))))
         wall = np.repeat(np.arange(len(walls)), 30)
@@ -129,9 +127,9 @@ def test_walls_are_met_on_the_side_of_the_air(make, rng) -> None:
     places = rng.uniform(*room.extent, (60, 3))
     told = 0
     for place in places:
-        sides = air_sides(walls, place)
+        sides = WallLookup(walls).air_sides(place)
         stop = place + 50.0 * (directions := rng.normal(size=(40, 3)))
-        row, wall, _ = crossed_pieces(walls, np.broadcast_to(place, stop.shape), stop)
+        row, wall, _ = WallLookup(walls).crossings(np.broadcast_to(place, stop.shape), stop)
         height = walls.normal[wall] @ place - walls.offset[wall]
         share = height / -np.einsum("ni,ni->n", directions[row], walls.normal[wall])
         for r in range(len(stop)):
@@ -157,7 +155,7 @@ def test_sides_of_what_is_no_closed_shell_are_not_told() -> None:
     walls = clsim.MeshRoom(corners, triangles[:, ::-1], WALL).walls
     heights = walls.normal @ [0.5, 0.5, 0.5] - walls.offset
     assert np.all(walls.outward * heights < 0.0), "outward, whatever the winding"
-    assert np.all(air_sides(walls, np.array([0.4, 0.5, 0.6])) * heights > 0.0)
+    assert np.all(WallLookup(walls).air_sides(np.array([0.4, 0.5, 0.6])) * heights > 0.0)
 
 
 @pytest.mark.usefixtures("device")
