@@ -91,7 +91,7 @@ def folder(finished: Path, tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_a_killed_study_goes_on_to_the_same_bytes(finished: Path, tmp_path: Path) -> None:
-    """Of two workers those of one: killed with them once a shard is joined and a member waits, or soon behind that."""
+    """Two workers write what one does, killed with the study once a shard is joined and a member waits, or soon behind that."""
     arguments = [*write(tmp_path / "killed"), "--workers", "2"]
     out = tmp_path / "killed" / "out"
     study = subprocess.Popen(
