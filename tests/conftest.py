@@ -24,7 +24,7 @@ from clsim.opencl.device import list_devices
 def pytest_collection() -> Generator[None, object, object]:
     """Leave what stays until the end, a million objects of modules and tests, out of each search for garbage.
 
-    Searches are rare: after 700 new objects, as by default, they took 3 % of all tests, and half of reading the package.
+    Searches are rare: after every 700 new objects, as by default, they took 1.5 s of the 2.4 s that parse the package.
     """
     gc.disable()
     try:
