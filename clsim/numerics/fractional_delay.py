@@ -77,11 +77,17 @@ def chebyshev_degree(cutoff: float, mu_max: float, error: float, importance: tup
     Olver et al., "NIST Handbook of Mathematical Functions", 2010, eq. 10.12.3; its tail is at most ``2 sum_{k > K}
     |J_k(w mu_max)|``.
     """
-    orders, ends = np.arange(_LARGEST_DEGREE + 30), cutoff * np.arange(1, len(importance) + 1) / len(importance)
-    terms = np.abs(scipy.special.jv(orders[:, None], ends * mu_max)) * np.array(importance)
+    terms = _series_terms(cutoff, mu_max, len(importance)) * np.array(importance)
     tail = (2 * np.cumsum(terms[::-1], axis=0)[::-1]).max(axis=1)  # tail[k]: terms k and above
     within = np.flatnonzero(tail[1:] <= error)
     return int(within[0]) if len(within) else _LARGEST_DEGREE
+
+
+@lru_cache(maxsize=64)  # of some 36 KB each
+def _series_terms(cutoff: float, mu_max: float, cells: int) -> Floats:
+    """Return the size of each order's term at the end of each cell up to the cutoff, (orders, cells)."""
+    ends = cutoff * np.arange(1, cells + 1) / cells
+    return np.asarray(np.abs(scipy.special.jv(np.arange(_LARGEST_DEGREE + 30)[:, None], ends * mu_max)))
 
 
 def chebyshev_bank(
@@ -164,7 +170,7 @@ def design_bandlimited(
         half = halves[index]
         taps = chebyshev_bank(degree, half, cutoff, mu_max, importance)
         enough = (1.0 + 1e-9) * 10 ** (error_db / 20)
-        if _largest_deviation(taps, half, 0.0, cutoff, mu_max * _FIRST_DELAYS, importance) > enough:
+        if _largest_deviation(taps, half, (cutoff, mu_max, 0.0), importance, few=True) > enough:
             return None
         reached = 20 * math.log10(bank_error(taps, half, 0.0, cutoff, mu_max, importance))
         return (taps, reached) if reached <= error_db else None
@@ -283,18 +289,24 @@ def bank_error(
 
     Shapes: taps (branches, length).
     """
-    return _largest_deviation(taps, centre, shift, cutoff, mu_max * _DELAYS, importance)
+    return _largest_deviation(taps, centre, (cutoff, mu_max, shift), importance)
 
 
 def _largest_deviation(
-    taps: Floats, centre: int, shift: float, cutoff: float, mu: Floats, importance: tuple[float, ...]
+    taps: Floats, centre: int, delays: tuple[float, float, float], importance: tuple[float, ...], few: bool = False
 ) -> float:
-    """Return `bank_error` over some delays (n,), samples."""
-    w = np.linspace(0.0, cutoff, _FREQUENCIES)
-    response = _turns(cutoff, taps.shape[1], centre) @ taps.T
-    delayed = polynomial.polyval(mu, response.T)
-    wanted = np.exp(-1j * np.outer(w, mu + shift))
-    return float(np.max(np.abs(delayed - wanted) * _importance_at(w, cutoff, importance)[:, None]))
+    """Return `bank_error` over all delays or a few, which `_delayed` has."""
+    cutoff, mu_max, _ = delays
+    response, w = _turns(cutoff, taps.shape[1], centre) @ taps.T, np.linspace(0.0, cutoff, _FREQUENCIES)
+    left = polynomial.polyval(mu_max * (_FIRST_DELAYS if few else _DELAYS), response.T) - _delayed(*delays, few)
+    return float(np.max(np.abs(left) * _importance_at(w, cutoff, importance)[:, None]))
+
+
+@lru_cache(maxsize=16)  # of some 270 KB each
+def _delayed(cutoff: float, mu_max: float, shift: float, few: bool) -> NDArray[np.complex128]:
+    """Return the responses of pure delays up to the cutoff, (frequencies, delays)."""
+    delays = mu_max * (_FIRST_DELAYS if few else _DELAYS) + shift
+    return np.asarray(np.exp(-1j * np.outer(np.linspace(0.0, cutoff, _FREQUENCIES), delays)))
 
 
 @lru_cache(maxsize=16)  # of some 150 KB each
