@@ -14,7 +14,7 @@ import numpy as np
 
 from clsim.arrays import texts
 from clsim.errors import InputError, in_one_line, warn
-from clsim.files.atomic import locked, remove_leftovers, safe_path, sha256_of, uninterrupted
+from clsim.files.atomic import locked, naming_full, remove_leftovers, safe_path, sha256_of, uninterrupted
 from clsim.output.raw_files import is_sealed, seal
 from clsim.output.stores import write_zarr
 from clsim.study.content import metrics_function
@@ -275,7 +275,7 @@ def run_study(
     if study.metrics:
         metrics_function(study.metrics, study.folder)
     folder.mkdir(parents=True, exist_ok=True)
-    with locked(folder / ".lock", "--output"):
+    with naming_full(folder), locked(folder / ".lock", "--output"):
         begun = _begin(study, files, folder, new)
         results = results_of(study, folder)
         index = Index(folder, study.members, results)
