@@ -192,6 +192,7 @@ def metrics_of(group: Path) -> dict[str, Any] | str:
 def _stacked(folder: Path, index: Index) -> dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]:
     """Return dimensions, values (NaN where a member has none) and coordinates of every metric."""
     stacked: dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]] = {}
+    others: dict[str, int] = {}
     for i, number in enumerate(sorted(index.rows)):
         if index.rows[number].status != "finished":
             continue
@@ -207,6 +208,10 @@ def _stacked(folder: Path, index: Index) -> dict[str, tuple[tuple[str, ...], Any
                 stacked[name] = over, empty, {k: values.coords[k].variable for k in values.indexes}
             if stacked[name][0] == over and stacked[name][1].shape[1:] == values.shape:
                 stacked[name][1][i] = values.values
+            else:
+                others.setdefault(name, number)
+    for name, number in others.items():
+        warn(f"summary: {name} is NaN for member {number} and others of another shape than the first one's")
     return stacked
 
 

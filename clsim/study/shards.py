@@ -272,7 +272,7 @@ def _write_table(path: Path, rows: list[dict[str, Any]], digest: bytes) -> None:
         values = [row.get(name) for row in rows]
         try:
             columns[name] = pa.array(values)
-        except (pa.ArrowInvalid, pa.ArrowTypeError):
+        except (pa.ArrowInvalid, pa.ArrowTypeError, OverflowError):
             columns[name] = pa.array([json.dumps(value) for value in values])
     table = pa.table(columns).replace_schema_metadata({_FORMAT: b"1", _DIGEST: digest})
     parquet.write_table(table, path, compression="zstd", write_page_checksum=True)
