@@ -170,13 +170,14 @@ def design_bandlimited(
         half = halves[index]
         taps = chebyshev_bank(degree, half, cutoff, mu_max, importance)
         enough = (1.0 + 1e-9) * 10 ** (error_db / 20)
-        if _largest_deviation(taps, half, (cutoff, mu_max, 0.0), importance, few=True) > enough:
+        if bank_error(taps, half, 0.0, cutoff, mu_max, importance, few=True) > enough:
             return None
         reached = 20 * math.log10(bank_error(taps, half, 0.0, cutoff, mu_max, importance))
         return (taps, reached) if reached <= error_db else None
 
     about = halves[0] + _length_beyond(error_db, cutoff, importance)
-    found = _first(tried, len(halves), int(np.searchsorted(halves, about)))
+    # It takes one more try than that beyond the length which does, and that length is mostly the next one.
+    found = _first(tried, len(halves), max(int(np.searchsorted(halves, about)) - 1, 0))
     if found is None:
         raise ValueError(f"no filter of up to {_LARGEST_LENGTH} taps reaches {error_db:g} dB up to {cutoff:.4g} rad")
     found[0].flags.writeable = False
@@ -268,7 +269,7 @@ def _length_beyond(error_db: float, cutoff: float, importance: tuple[float, ...]
 
 def _first(tried: Callable[[int], Design | None], count: int, start: int) -> Design | None:
     """First result that is not None of a function that gives None up to some index below `count`, searched from one."""
-    low, high, best, step = -1, count, None, 1  # None at `low`, a result at `high`
+    low, high, best, step, before = -1, count, None, 1, 0  # None at `low`, a result at `high`
     at = min(start, count - 1)
     while high - low > 1:
         result = tried(at)
@@ -278,28 +279,22 @@ def _first(tried: Callable[[int], Design | None], count: int, start: int) -> Des
             high, best = at, result
         inside = low >= 0 and high < count
         at = (low + high) // 2 if inside else high - step if high < count else low + step
-        at, step = min(max(at, low + 1), high - 1), 2 * step
+        at, step, before = min(max(at, low + 1), high - 1), step + before, step  # 1, 1, 2, 3, 5, ...
     return best
 
 
 def bank_error(
-    taps: Floats, centre: int, shift: float, cutoff: float, mu_max: float, importance: tuple[float, ...] = (1.0,)
-) -> float:
-    """Return the largest deviation of a bank from a pure delay (which is 1), over all delays and the band.
+    taps: Floats, centre: int, shift: float, cutoff: float, mu_max: float, importance: tuple[float, ...] = (1.0,),
+    *, few: bool = False,
+) -> float:  # fmt: skip
+    """Return the largest deviation of a bank from a pure delay (which is 1), over all delays, or a few, and the band.
 
     Shapes: taps (branches, length).
     """
-    return _largest_deviation(taps, centre, (cutoff, mu_max, shift), importance)
-
-
-def _largest_deviation(
-    taps: Floats, centre: int, delays: tuple[float, float, float], importance: tuple[float, ...], few: bool = False
-) -> float:
-    """Return `bank_error` over all delays or a few, which `_delayed` has."""
-    cutoff, mu_max, _ = delays
     response, w = _turns(cutoff, taps.shape[1], centre) @ taps.T, np.linspace(0.0, cutoff, _FREQUENCIES)
-    left = polynomial.polyval(mu_max * (_FIRST_DELAYS if few else _DELAYS), response.T) - _delayed(*delays, few)
-    return float(np.max(np.abs(left) * _importance_at(w, cutoff, importance)[:, None]))
+    made = polynomial.polyval(mu_max * (_FIRST_DELAYS if few else _DELAYS), response.T)
+    left = np.abs(made - _delayed(cutoff, mu_max, shift, few))
+    return float(np.max(left * _importance_at(w, cutoff, importance)[:, None]))
 
 
 @lru_cache(maxsize=16)  # of some 270 KB each

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from clsim.arrays import texts
-from clsim.errors import InputError, in_one_line, warn
+from clsim.errors import InputError, in_one_line, of_file, warn
 from clsim.files.atomic import locked, naming_full, remove_leftovers, safe_path, sha256_of, uninterrupted
 from clsim.output.raw_files import is_sealed, seal
 from clsim.output.stores import write_zarr
@@ -270,12 +270,13 @@ def run_study(
     progress = progress or no_progress
     doing = Workers(workers, scheduler)
     doing.check("study", "a study")
-    study = load_study(path, DEFAULT_LIMIT if limit is None else limit)
+    with of_file(path):
+        study = load_study(path, DEFAULT_LIMIT if limit is None else limit)
     folder = Path(output).absolute()
     new = not (resume or retry)
     if new:
         _refuse_begun(folder)
-    with progress("checking scenes", len(study.members)) as advance:
+    with of_file(path), progress("checking scenes", len(study.members)) as advance:
         files = checked(study, advance)
     if study.metrics:
         metrics_function(study.metrics, study.folder)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from clsim.arrays import Floats
-from clsim.errors import InputError, warn
+from clsim.errors import InputError, of_file, warn
 from clsim.files.input_files import file_names
 from clsim.output.raw_files import SampleFile
 from clsim.output.stores import SoundStore, StoredSound, store_kinds
@@ -97,14 +97,13 @@ def find_scene_paths(file: SceneFile, progress: Progress = no_progress) -> PathS
 @contextmanager
 def _errors_within(table: str, file: SceneFile) -> Iterator[None]:
     """Name scene file and field in errors; fields that are not the scene's belong to `table`."""
-    try:
-        yield
-    except InputError as error:
-        found = error if re.split(r"[.[]", error.field)[0] in _OF_SCENE else error.within(table)
-        found.file = error.file or file.name
-        if found is error:
-            raise
-        raise found from error
+    with of_file(file.name):
+        try:
+            yield
+        except InputError as error:
+            if re.split(r"[.[]", error.field)[0] in _OF_SCENE:
+                raise
+            raise error.within(table) from error
 
 
 def table_times(plan: Plan, rate: float, field: str) -> Floats:
