@@ -125,7 +125,7 @@ def test_check_says_which_scale_to_try_before_the_search_gives_up(mesh_scene: Pa
     printed = capsys.readouterr()
     warned, error = printed.err.splitlines()
     assert warned == "clsim: warning: room: 8000 m is large for a room; for a file in millimetres, try scale = 0.001"
-    assert error.startswith("clsim: error: paths.max_order: must give at most 1 paths")
+    assert error.startswith(f"clsim: error: {mesh_scene}: paths.max_order: must give at most 1 paths")
 
 
 def test_paths_of_a_mesh_are_those_heard_at_a_time(mesh_scene: Path, tmp_path: Path, capsys) -> None:
