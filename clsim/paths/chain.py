@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from clsim.arrays import Complexes, Floats, read_only
+from clsim.arrays import ByRow, Complexes, Floats, read_only
 from clsim.errors import InputError
 from clsim.paths.family import (
     DIFFRACTION,
@@ -123,6 +123,30 @@ def program_of(kind: str, air: Air) -> str | None:
     return SUPPORT[kind].program if support(kind, air) == DEVICE else None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Fades(ByRow):
+    """Shares of P paths that fade: those missing as paths begin and as they end, for want of paths that take over."""
+
+    share: Complexes  # (P, 2) of the response
+    span: Floats  # (P, 2) time from a beginning on, or to an end, in which they fade, s
+
+    def gain(self, start: Floats, end: Floats, times: Floats) -> Complexes:
+        """Compute factors (P, T) of paths that begin and end at times (P,), at times (T,) or (P, 1), s."""
+        gain = np.ones((len(start), 1), dtype=np.complex128)
+        for side, since in enumerate((times - start[:, None], end[:, None] - times)):
+            x = np.clip(since / self.span[:, [side]], 0.0, 1.0)
+            gain = gain - self.share[:, [side]] * (1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2))
+        return gain
+
+    @property
+    def largest(self) -> Floats:
+        """Bounds (P,) of the factors' magnitudes."""
+        return np.asarray(np.maximum(np.abs(1.0 - self.share).max(axis=1), 1.0))
+
+    def __len__(self) -> int:
+        return len(self.share)
+
+
 @dataclass(frozen=True, eq=False)
 class Chain(PathFamily):
     """Paths of one kind of leg and of one kind of vertex."""
@@ -130,6 +154,7 @@ class Chain(PathFamily):
     legs: tuple[Any, ...]  # one, or one before and one after the vertex
     vertex: Any = None  # None for paths that are only reflected
     level: Floats | None = None  # (paths,) pressure over that of the path's law; None for 1
+    fades: Fades | None = None  # None where no path fades
 
     @property
     def kind(self) -> str:
@@ -154,6 +179,8 @@ class Chain(PathFamily):
             yield from self.vertex.named(moving)
         if self.level is not None:
             yield "level", self.level
+        if self.fades is not None:
+            yield from (("fade_share", self.fades.share), ("fade_span", self.fades.span))
 
     @property
     def is_specular(self) -> bool:
@@ -189,7 +216,7 @@ class Chain(PathFamily):
     @property
     def device(self) -> str | None:
         """Program that makes nodes of these paths on a device; None for the host."""
-        if self.level is not None or (self.vertex is not None and not self.vertex.on_device):
+        if self.level is not None or self.fades is not None or (self.vertex is not None and not self.vertex.on_device):
             return None
         if self.scene.panels and self.vertex is not None and self.vertex.interaction == DIFFRACTION:
             return None  # the program does not know sheets that let sound pass
@@ -241,6 +268,8 @@ class Chain(PathFamily):
                     response *= at.reflection(walls)[:, None, :]
                 at.apply_angular_walls(response, walls, direction)
         at.apply_directivities(response, links.ends, found, times)
+        if self.fades is not None:
+            response = response * self.fades.part(rows).gain(self.start[rows], self.end[rows], times)[..., None]
         return response if self.level is None else response * self.level[rows][:, None, None]
 
     def vertices(self, rows: Rows, time: float, kinematics: Kinematics = RETARDED) -> Floats:
@@ -302,6 +331,8 @@ class Chain(PathFamily):
         bound = at.largest_reflection(links.all_surfaces)
         if links.vertex is not None:
             bound = links.vertex.largest(links, at) * bound
+        if self.fades is not None:
+            bound = bound * self.fades.part(rows).largest[:, None]
         return bound if self.level is None else bound * self.level[rows][:, None]
 
     def links(self, rows: Rows) -> Links:
@@ -324,12 +355,13 @@ class Chain(PathFamily):
         """Return some of the paths."""
         columns: dict[str, Any] = {field.name: getattr(self, field.name)[rows] for field in fields(PathFamily)[1:]}
         links, level = self.links(rows), None if self.level is None else self.level[rows]
-        return replace(self, **columns, legs=links.legs, vertex=links.vertex, level=level)
+        fades = None if self.fades is None else self.fades.part(rows)
+        return replace(self, **columns, legs=links.legs, vertex=links.vertex, level=level, fades=fades)
 
     def check(self) -> None:
         """Refuse columns, legs and vertices with another number of rows than paths."""
         super().check()
-        for part in (*self.legs, self.vertex, self.level):
+        for part in (*self.legs, self.vertex, self.level, self.fades):
             if part is not None and len(part) != len(self):
                 name = type(part).__name__
                 raise InputError("legs", f"must have one row per path, {len(self)}, but {name} has {len(part)}")

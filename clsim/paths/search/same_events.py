@@ -48,7 +48,7 @@ def at_one_time(scene: Scene, found: tuple[PathFamily, ...], resolution: float) 
     if not any(family.vertex is not None for family in chains):
         return found
     bounds = [[np.array(family.start), np.array(family.end)] for family in chains]
-    events = _Events.of(chains, scene)
+    events = Events.of(chains, scene)
     groups, converged = list(_groups(events, resolution)), np.zeros(len(events.time), dtype=bool)
     timed = [(group, float(np.min(events.time[group]))) for group in groups] + list(_passed_corners(events, converged))
     converged[[event for group in groups for event in group.tolist()]] = True
@@ -65,7 +65,7 @@ def at_one_time(scene: Scene, found: tuple[PathFamily, ...], resolution: float) 
 
 def _with_corners(chains: list[Chain], scene: Scene) -> list[Chain]:
     """Tell paths over ends which terms pass their boundaries as the path passes the corner, and at which angle."""
-    events = _Events.of(chains, scene)
+    events = Events.of(chains, scene)
     over_ends = events.over_edges(ends=True)
     columns: dict[int, tuple[NDArray[np.int8], Floats]] = {}
     _, instant, count = np.unique(np.stack([events.pair, events.time]), axis=1, return_inverse=True, return_counts=True)
@@ -104,7 +104,7 @@ def _share(roots: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Events:
+class Events:
     """Beginnings and ends of paths, in order of pairs and times."""
 
     chains: Sequence[Chain]
@@ -116,7 +116,7 @@ class _Events:
     row: Rows  # (n,) of the family
 
     @staticmethod
-    def of(chains: Sequence[Chain], scene: Scene) -> _Events:
+    def of(chains: Sequence[Chain], scene: Scene) -> Events:
         parts: list[Any] = []
         for place, family in enumerate(chains):
             pairs = family.source.astype(np.int64) * len(scene.receivers) + family.receiver
@@ -125,7 +125,7 @@ class _Events:
                 parts.append((pairs[some], bounds[some], np.full(len(some), place), np.full(len(some), end), some))
         columns: Any = [np.concatenate(column) for column in zip(*parts, strict=True)]
         order = np.lexsort((columns[1], columns[0]))
-        return _Events(chains, scene, *(column[order] for column in columns))
+        return Events(chains, scene, *(column[order] for column in columns))
 
     def set(self, bounds: list[list[Floats]], group: Rows, time: float) -> None:
         """Set the starts and ends of each family to the time of a group of events, s."""
@@ -180,7 +180,7 @@ class _Events:
         return over
 
 
-def _groups(events: _Events, resolution: float) -> Iterator[Rows]:
+def _groups(events: Events, resolution: float) -> Iterator[Rows]:
     """Yield groups of events that are one."""
     pair, times = events.pair, events.time
     gap = np.where(pair[1:] == pair[:-1], times[1:] - times[:-1], np.inf)
@@ -203,7 +203,7 @@ def _groups(events: _Events, resolution: float) -> Iterator[Rows]:
                 yield group
 
 
-def _passed_corners(events: _Events, converged: NDArray[np.bool_]) -> Iterator[tuple[Rows, float]]:
+def _passed_corners(events: Events, converged: NDArray[np.bool_]) -> Iterator[tuple[Rows, float]]:
     """Yield groups of events at which a way passes the corner of an edge, and when it does so, s; mark them."""
     size = events.scene.room.as_mesh().walls.size
     for turns, first, group in _beside_turns(events):
@@ -228,7 +228,7 @@ def _passed_corners(events: _Events, converged: NDArray[np.bool_]) -> Iterator[t
                 yield same, time
 
 
-def _along_edges(events: _Events, converged: NDArray[np.bool_]) -> Iterator[tuple[Rows, float]]:
+def _along_edges(events: Events, converged: NDArray[np.bool_]) -> Iterator[tuple[Rows, float]]:
     """Yield beginnings and ends of paths without edges, and when such a path passes an edge by the edge's own test, s.
 
     Where it passes within 0.1 mrad of the edge's direction, outlines, with their tolerance, tell other times: up to a
@@ -257,7 +257,7 @@ def _along_edges(events: _Events, converged: NDArray[np.bool_]) -> Iterator[tupl
                 yield pair_of[:1], float(events.time[pair_of[1]])
 
 
-def _beside_turns(events: _Events) -> Iterator[tuple[Rows, Rows, Rows]]:
+def _beside_turns(events: Events) -> Iterator[tuple[Rows, Rows, Rows]]:
     """Yield events of a pair at which paths over ends of edges begin, (k,), and all at which paths are nearly as long.
 
     The latter, (n,), follow each other: those of each of the former from a place (k,) on.

@@ -1,0 +1,171 @@
+"""Fades of paths over edges where the series of edges breaks off.
+
+A path ends where another edge or face comes into the way. Where no path takes over, or not all of it, the sum of all
+would jump. So the rest fades before an end, and after a beginning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.arrays import Complexes, Floats, Rows, read_only
+from clsim.paths.chain import Chain, Fades
+from clsim.paths.family import PathFamily
+from clsim.paths.response import SceneResponse
+from clsim.paths.search.same_events import SAME_DELAY, Events
+from clsim.paths.vertices.edge import EdgeVertex
+from clsim.scene.scene import Scene
+
+_LEAST = 1e-4  # jump of the pressure that is left, over that of the strongest path
+_NEAR = 3e-5  # s between beginnings and ends of one event
+_SHORTEST, _LONGEST = 1e-3, 0.25  # s, of fades
+_FREQUENCIES = np.array([0.8, 1.0, 1.25])  # of the centre frequency
+_INSTANTS = 33  # at which the strongest path without edges is looked for
+_ONE_BY_ONE = 8  # paths that are evaluated together, each at a time of its own
+_DAMPING = 1e-6  # of the squares of members
+
+
+def with_fades(scene: Scene, found: tuple[PathFamily, ...], direct: bool) -> tuple[PathFamily, ...]:
+    """Let paths over edges fade where the sum of all would jump; direct: whether direct sound is among all."""
+    chains = [family for family in found if isinstance(family, Chain)]
+    if not any(isinstance(chain.vertex, EdgeVertex) for chain in chains):
+        return found
+    events = Events.of(chains, scene)
+    shares = [np.zeros((len(chain), 2), dtype=np.complex128) for chain in chains]
+    spans = [np.ones((len(chain), 2)) for chain in chains]
+    for pair in np.unique(events.pair).tolist():
+        of_pair = _PairEvents.of(events, pair, direct)
+        for group in of_pair.groups():
+            for member, share, span in zip(*of_pair.missing(group), strict=True):
+                place = events.row[member], events.side[member]
+                shares[events.family[member]][place], spans[events.family[member]][place] = share, span
+    made = {id(c): _with(c, Fades(*columns)) for c, *columns in zip(chains, shares, spans, strict=True)}
+    return tuple(each for family in found for each in made.get(id(family), (family,)))
+
+
+def _with(chain: Chain, fades: Fades) -> tuple[Chain, ...]:
+    """Return paths that do not fade, which a device may know, and those that do."""
+    fading = np.any(fades.share != 0.0, axis=1)
+    if not fading.any():
+        return (chain,)
+    some, fades = np.flatnonzero(fading), fades.part(fading)
+    columns = Fades(read_only(fades.share), read_only(fades.span))
+    return chain.part(np.flatnonzero(~fading)), replace(chain.part(some), fades=columns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PairEvents:
+    """Beginnings and ends of paths between one source and one receiver."""
+
+    events: Events
+    which: Rows  # (n,) of all events
+    instant: Rows  # (n,) number of the time that is taken for one
+    time: Floats  # (n,) that time, s
+    over_edges: NDArray[np.bool_]  # (n,)
+    value: Complexes  # (n, F) pressure over that emitted, without the delay
+    delay: Floats  # (n,) s
+    frequencies: Floats  # (F,) Hz
+    loudest: Floats  # (n,) pressure of the strongest path without edges, or less
+
+    @staticmethod
+    def of(events: Events, pair: int, direct: bool) -> _PairEvents:
+        which = np.flatnonzero(events.pair == pair)
+        source = pair // len(events.scene.receivers)
+        at = SceneResponse(
+            events.scene, source, _FREQUENCIES * events.scene.sources[source].emitted.centre_frequency
+        )
+        exact = events.time[which]
+        instant = np.cumsum(np.diff(exact, prepend=exact[0]) > _NEAR)
+        time = (np.bincount(instant, weights=exact) / np.bincount(instant))[instant]
+        value, delay = np.empty((len(which), len(at.frequencies)), dtype=np.complex128), np.empty(len(which))
+        over_edges = np.zeros(len(which), dtype=bool)
+        for number in np.unique(events.family[which]).tolist():
+            mine, chain = events.family[which] == number, events.chains[number]
+            over_edges[mine] = isinstance(chain.vertex, EdgeVertex)
+            value[mine], delay[mine] = _each(chain, events.row[which[mine]], time[mine], at)
+        loudest = _strongest(events, pair, np.linspace(exact[0], exact[-1], _INSTANTS), at, direct)(time)
+        return _PairEvents(events, which, instant, time, over_edges, value, delay, at.frequencies, loudest)
+
+    def groups(self) -> Iterator[Rows]:
+        """Yield the events (k,) at one instant of paths that are as long as each other."""
+        order = np.lexsort((self.delay, self.instant))
+        apart = (np.diff(self.instant[order]) > 0) | (np.diff(self.delay[order]) > SAME_DELAY)
+        for group in np.split(order, np.flatnonzero(apart) + 1):
+            if self.over_edges[group].any():
+                yield group
+
+    def missing(self, group: Rows) -> tuple[Rows, Complexes, Floats]:
+        """Find which of a group's events (k,) miss which shares of their paths (k,), and the lengths (k,) of fades, s.
+
+        The shares together are the jump, and have the least sum of squares.
+        """
+        turned = self.value[group] * np.exp(
+            -2j * np.pi * self.frequencies * (self.delay[group] - self.delay[group[0]])[:, None]
+        )
+        signed = turned * (1.0 - 2.0 * self.events.side[self.which[group]])[:, None]
+        jump, loudest = signed.sum(axis=0), max(np.abs(turned).max(), self.loudest[group[0]])
+        span = self._spans(group)
+        own = self.over_edges[group] & (span >= _SHORTEST)
+        if np.abs(jump).max() <= _LEAST * loudest or not own.any():
+            return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.complex128), np.empty(0)
+        columns = signed[own].T
+        squares = columns @ columns.conj().T
+        squares += _DAMPING * np.trace(squares).real * np.eye(len(squares))
+        share = columns.conj().T @ np.linalg.solve(squares, jump)
+        return self.which[group[own]], share, span[own]
+
+    def _spans(self, group: Rows) -> Floats:
+        """Times (k,) in which the ends move by the width of the Fresnel zone, at most half of a path's interval, s."""
+        which, now, events = self.which[group], self.time[group[:1]], self.events
+        scene, chains = events.scene, events.chains
+        source, receiver = divmod(int(events.pair[which[0]]), len(scene.receivers))
+        ends = scene.sources[source].trajectory, scene.receivers[receiver].trajectory
+        moved = sum(float(np.linalg.norm(end.velocity(now))) for end in ends)
+        rows = [(chains[f], r) for f, r in zip(events.family[which].tolist(), events.row[which].tolist(), strict=True)]
+        speed = np.array([moved + chain.speeds[row] for chain, row in rows])
+        room = np.array([0.5 * (chain.end[row] - chain.start[row]) for chain, row in rows])
+        c, middle = scene.air.speed_of_sound, self.frequencies[len(self.frequencies) // 2]
+        zone = c * np.sqrt(self.delay[group] / middle)
+        return np.minimum(np.clip(zone / np.maximum(speed, 1e-9), _SHORTEST, _LONGEST), room)
+
+
+def _each(chain: Chain, rows: Rows, times: Floats, at: SceneResponse) -> tuple[Complexes, Floats]:
+    """Responses (n, F) and delays (n,), s, of paths of a pair, each at a time of its own, s."""
+    air = chain.scene.air
+    if isinstance(chain.vertex, EdgeVertex) and not (chain.legs[0].moving or air.layers or air.fluctuation):
+        found = chain.arrivals(rows, times[:, None])
+        return chain.response(rows, found, times[:, None], at)[:, 0], found.delay[:, 0]
+    value, delay = np.empty((len(rows), len(at.frequencies)), dtype=np.complex128), np.empty(len(rows))
+    for first in range(0, len(rows), _ONE_BY_ONE):
+        some = slice(first, first + _ONE_BY_ONE)
+        here, now = rows[some], times[some]
+        found = chain.arrivals(here, now)
+        value[some] = np.einsum("iif->if", chain.response(here, found, now, at))
+        delay[some] = np.diagonal(found.delay)
+    return value, delay
+
+
+def _strongest(events: Events, pair: int, times: Floats, at: SceneResponse, direct: bool) -> Any:
+    """Make a function of times (n,), s: the pressure (n,) of the strongest path without edges about each, or less."""
+    most = np.zeros(len(times))
+    source, receiver = divmod(pair, len(events.scene.receivers))
+    for chain in events.chains:
+        if chain.vertex is None:
+            mine = (chain.source == source) & (chain.receiver == receiver) & (direct | (chain.order > 0))
+            rows = np.flatnonzero(mine)
+            if len(rows):
+                found = chain.arrivals(rows, times)
+                active = (chain.start[rows, None] <= times) & (times < chain.end[rows, None])
+                level = np.abs(chain.response(rows, found, times, at)).min(axis=2)
+                most = np.maximum(most, np.max(level * active, axis=0))
+
+    def at_times(now: Floats) -> Floats:
+        after = np.clip(np.searchsorted(times, now), 1, len(times) - 1)
+        return np.minimum(most[after - 1], most[after])
+
+    return at_times
