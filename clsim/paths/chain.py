@@ -222,6 +222,13 @@ class Chain(PathFamily):
             return None  # the program does not know sheets that let sound pass
         return program_of(self.kind, self.scene.air)
 
+    def by_program(self) -> tuple[Self, ...]:
+        """Divide the paths into those whose nodes a device may make and those that fade, whose nodes the host makes."""
+        if self.fades is None or replace(self, fades=None).device is None:
+            return (self,)
+        fading = np.any(self.fades.share != 0.0, axis=1)
+        return replace(self.part(np.flatnonzero(~fading)), fades=None), self.part(np.flatnonzero(fading))
+
     @property
     def object_names(self) -> tuple[str, ...]:
         """Names of faces of bodies, and of what is met at vertices."""

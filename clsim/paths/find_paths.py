@@ -110,7 +110,7 @@ class _Search:
             found = (*found, bodies.paths(next(parts).notify))
             for of_bodies in OVER_BODIES[:edges]:
                 found = (*found, of_bodies(bodies, found))
-        return with_fades(scene, found, options.direct is True) if edges else found
+        return with_fades(scene, found, options.direct is True) if edges and options.edge_fades else found
 
     def scattered(self) -> list[PathFamily]:
         """Find the paths by scatterers: by walls alone, and with faces of bodies where there are any."""

@@ -38,6 +38,10 @@ class PathOptions:
         Law of the field at an edge. "utd" is the uniform theory of diffraction, for some 5 kHz and more. "btm" is the
         exact field of a wedge (Biot, Tolstoy, Medwin, Svensson), for audio and for ends near an edge. Paths over two
         edges are those of "utd".
+    edge_fades : bool
+        Whether paths over edges fade towards a beginning or an end at which no other path, or not all of it, takes
+        over, as over one edge more than are found. Else the sum of all paths jumps there. They fade while the ends
+        move by the width of the Fresnel zone, within 0.25 s or half of the path's interval.
     scattering_order : int
         Largest number of reflections on the way to a scatterer, and of those on the way from it, 0 to 3. An echo of N
         walls has the shadow of a sphere if it is at least N.
@@ -80,6 +84,7 @@ class PathOptions:
     _: KW_ONLY
     diffraction: int = 0
     diffraction_model: str = "utd"
+    edge_fades: bool = True
     scattering_order: int = 0
     scatterers_in_row: int = 1
     edge_scattering: bool = False
@@ -106,7 +111,8 @@ class PathOptions:
         checked["scattering_order"] = as_count("scattering_order", self.scattering_order, at_most=most)
         most = LARGEST_ROW
         checked["scatterers_in_row"] = as_count("scatterers_in_row", self.scatterers_in_row, at_least=1, at_most=most)
-        checked["edge_scattering"] = as_flag("edge_scattering", self.edge_scattering)
+        for name in ("edge_fades", "edge_scattering"):
+            checked[name] = as_flag(name, getattr(self, name))
         if self.body_order is not None:
             checked["body_order"] = as_count("body_order", self.body_order)
         checked["body_step"] = as_number("body_step", self.body_step, at_least=1e-5, at_most=1.0, unit="m")

@@ -120,6 +120,7 @@ class _Paths(Model):
     diffraction: int = 0
     diffraction_model: Literal["utd", "btm"] | None = None  # "utd" where left out
     scatterers_in_row: int | None = None
+    edge_fades: bool | None = None
     edge_scattering: bool | None = None
     scattering_order: int | None = None  # 0 where left out; scenes without scatterers do not name it
     body_order: int | None = None  # max_order where left out

@@ -21,8 +21,9 @@ from clsim.paths.search.same_events import SAME_DELAY, Events
 from clsim.paths.vertices.edge import EdgeVertex
 from clsim.scene.scene import Scene
 
-_LEAST = 1e-4  # jump of the pressure that is left, over that of the strongest path
+_LEAST = 2e-4  # jump of the pressure that is left, over that of the strongest path
 _NEAR = 3e-5  # s between beginnings and ends of one event
+_BESIDE = 1e-7  # s from these, where paths are evaluated
 _SHORTEST, _LONGEST = 1e-3, 0.25  # s, of fades
 _FREQUENCIES = np.array([0.8, 1.0, 1.25])  # of the centre frequency
 _INSTANTS = 33  # at which the strongest path without edges is looked for
@@ -44,18 +45,13 @@ def with_fades(scene: Scene, found: tuple[PathFamily, ...], direct: bool) -> tup
             for member, share, span in zip(*of_pair.missing(group), strict=True):
                 place = events.row[member], events.side[member]
                 shares[events.family[member]][place], spans[events.family[member]][place] = share, span
-    made = {id(c): _with(c, Fades(*columns)) for c, *columns in zip(chains, shares, spans, strict=True)}
-    return tuple(each for family in found for each in made.get(id(family), (family,)))
+    made = {id(c): _with(c, *columns) for c, *columns in zip(chains, shares, spans, strict=True)}
+    return tuple(made.get(id(family), family) for family in found)
 
 
-def _with(chain: Chain, fades: Fades) -> tuple[Chain, ...]:
-    """Return paths that do not fade, which a device may know, and those that do."""
-    fading = np.any(fades.share != 0.0, axis=1)
-    if not fading.any():
-        return (chain,)
-    some, fades = np.flatnonzero(fading), fades.part(fading)
-    columns = Fades(read_only(fades.share), read_only(fades.span))
-    return chain.part(np.flatnonzero(~fading)), replace(chain.part(some), fades=columns)
+def _with(chain: Chain, share: Complexes, span: Floats) -> Chain:
+    """Return paths that fade."""
+    return replace(chain, fades=Fades(read_only(share), read_only(span))) if share.any() else chain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,7 +83,9 @@ class _PairEvents:
         for number in np.unique(events.family[which]).tolist():
             mine, chain = events.family[which] == number, events.chains[number]
             over_edges[mine] = isinstance(chain.vertex, EdgeVertex)
-            value[mine], delay[mine] = _each(chain, events.row[which[mine]], time[mine], at)
+            ahead = _BESIDE * (1.0 - 2.0 * events.side[which[mine]])  # there are no steps within the interval
+            near, far = (_each(chain, events.row[which[mine]], time[mine] + x * ahead, at) for x in (1.0, 3.0))
+            value[mine], delay[mine] = (1.5 * one - 0.5 * other for one, other in zip(near, far, strict=True))
         loudest = _strongest(events, pair, np.linspace(exact[0], exact[-1], _INSTANTS), at, direct)(time)
         return _PairEvents(events, which, instant, time, over_edges, value, delay, at.frequencies, loudest)
 

@@ -1,0 +1,107 @@
+"""Fades of paths over edges that nothing takes over from: jumps of the sum, the gain itself, and what is rendered."""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from edge_fields import field, terms
+from test_edge_ends import AIR, HARD, around_events, decibels, in_the_open
+
+import clsim
+from clsim.paths.path_set import PathSet
+
+RATE, TONE = 192e3, 40e3
+# Size of a thing, m, a source, and the ends of a walk of a second: the loudest jumps of 24 drawn walks.
+WALKS = {
+    "box": ((0.5, 0.4, 0.6), (0.5075, 0.0153, -0.5144), (-0.4633, 0.4729, 0.9582), (0.5687, 0.2869, 1.2047)),
+    "table": ((0.9, 0.6, 0.04), (0.8447, -0.0214, 0.3301), (-0.2304, 1.2929, -0.1122), (0.8321, -0.5907, -0.7528)),
+}
+
+
+@cache
+def walk(name: str, frequency: float = TONE, part: tuple[float, float] = (0.0, 1.0), **options: Any) -> PathSet:
+    """Find the paths of a part of a walk, s."""
+    size, source, *ends = WALKS[name]
+    first, last = (np.array(end) for end in ends)
+    begin, end = (first + share * (last - first) for share in part)
+    way = clsim.Trajectory.line(begin, end, part[1] - part[0])
+    signal = clsim.Signal.tone(frequency, 0.2, RATE, fade=0.01)
+    emitting, receiver = clsim.Source("s", signal, clsim.Trajectory.fixed(source)), clsim.Receiver("r", way)
+    scene = clsim.Scene(in_the_open(size), AIR, [emitting], [receiver])
+    return clsim.find_paths(scene, 0, **{"diffraction": 2, **options})
+
+
+def as_walker_sees(name: str) -> PathSet:
+    """Find the paths of a walk where thing and source move instead."""
+    size, source, *ends = WALKS[name]
+    first, last = (np.array(end) for end in ends)
+    shell, middle = clsim.Shoebox((20, 20, 20), clsim.Material.from_reflection(0.0)).as_mesh(), 0.5 * np.array(size)
+    room = clsim.MeshRoom(shell.vertices - 10.0, shell.triangles, shell.faces.materials[0])
+    moved, away = (clsim.Trajectory.line(x, x + first - last, 1.0) for x in (np.array(source), middle))
+    ends_of = (
+        [clsim.Source("s", clsim.Signal.tone(TONE, 0.1, RATE), moved)],
+        [clsim.Receiver("r", clsim.Trajectory.fixed(first))],
+    )
+    body = clsim.Body.box("thing", size, HARD, away)
+    return clsim.find_paths(clsim.Scene(room, AIR, *ends_of, bodies=[body]), 0, diffraction=2)
+
+
+def loudest_jump(paths: PathSet, frequency: float = TONE) -> float:
+    """Return the largest jump where paths begin and end, dB re the strongest path there; see `jumps`."""
+    times = (around_events(paths).reshape(-1, 2)[:, [0, 0, 1, 1]] + 2e-7 * np.array([-1, 0, 0, 1])).ravel()
+    one = terms(paths, times, frequency)
+    sums = one.sum(axis=0).reshape(-1, 4)
+    jump = sums[:, 2] - sums[:, 1] - 0.5 * (sums[:, 1] - sums[:, 0] + sums[:, 3] - sums[:, 2])
+    return decibels(jump / np.abs(one).max(axis=0).reshape(-1, 4).max(axis=1))
+
+
+@pytest.mark.parametrize("frequency", [40e3, 2e3])
+@pytest.mark.parametrize("name", WALKS)
+def test_the_sum_does_not_jump(name: str, frequency: float, measured: Callable[..., float]) -> None:
+    """Where an end passes the plane of a face, and a third edge comes into the way of two."""
+    assert loudest_jump(walk(name, frequency, edge_fades=False), frequency) > -18.0
+    error = loudest_jump(walk(name, frequency), frequency)
+    assert measured("walks past a table and a box, fades", "no jump", error, -60.0) < -60.0
+
+
+def test_the_sum_does_not_jump_over_one_edge_or_three(measured: Callable[..., float]) -> None:
+    error = max(loudest_jump(walk("box", diffraction=edges)) for edges in (1, 3))
+    assert measured("a walk past a box, one edge and three, fades", "no jump", error, -60.0) < -60.0
+
+
+def test_the_sum_does_not_jump_while_things_move(measured: Callable[..., float]) -> None:
+    """Events of one instant are some microseconds apart at bodies."""
+    error = loudest_jump(as_walker_sees("box"))
+    assert measured("a moving box, fades", "no jump", error, -59.0) < -59.0
+
+
+def test_a_path_fades_within_its_time() -> None:
+    """Half of the pressure is there in the middle, all beyond, in the table of paths as in responses."""
+    (paths, plain), halfway = (walk("table", edge_fades=fades) for fades in (True, False)), 0
+    for family, other in zip(paths.families, plain.families, strict=True):
+        fades = getattr(family, "fades", None)
+        alone = np.flatnonzero(np.abs(fades.share[:, 1] - 1.0) < 1e-5) if fades is not None else []
+        for row in alone:
+            end, span = family.end[row], fades.span[row, 1]
+            one, whole = (
+                PathSet(f.scene, (f.part(np.array([row])),)).table(end - span * np.array([1.2, 0.5, 1e-3])).gain[0]
+                for f in (family, other)
+            )
+            np.testing.assert_allclose(one / whole, [1.0, 0.5, 0.0], atol=1e-5)
+            halfway += 1
+    assert halfway > 10
+
+
+def test_what_is_rendered_fades(engine: str, measured: Callable[..., float]) -> None:
+    """A tone past the loudest event, but for the transitions of paths that begin and end."""
+    paths = walk("box", part=(0.37, 0.49), diffraction=1)
+    assert any(family.fades is not None for family in paths.families)
+    heard = clsim.render(paths, RATE, duration=0.12, engine=engine).pressure[0]
+    times = np.arange(round(0.02 * RATE), round(0.115 * RATE)) / RATE
+    apart = np.abs(times[:, None] - around_events(paths)).min(axis=1)
+    times = times[apart > 6e-4]
+    wanted = np.imag(field(paths, times, TONE) * np.exp(2j * np.pi * TONE * times))
+    error = decibels((heard[np.round(times * RATE).astype(int)] - wanted) / np.abs(wanted).max())
+    assert measured("a tone past a box, fades", "gains and delays of each path", error, -85.0) < -85.0
