@@ -23,7 +23,7 @@ FIXED = clsim.Trajectory.fixed
 def found(ends: tuple[clsim.Trajectory, clsim.Trajectory], order: int, edges: int) -> PathSet:
     tone = clsim.Signal.tone(TONE, LENGTH, RATE, fade=0.001)
     scene = clsim.Scene(SHEET, AIR, [clsim.Source("s", tone, ends[0])], [clsim.Receiver("r", ends[1])])
-    return clsim.find_paths(scene, order, diffraction=edges)
+    return clsim.find_paths(scene, order, diffraction=edges, edge_fades=False)
 
 
 def passing(speed: float) -> clsim.Trajectory:

@@ -177,7 +177,7 @@ class EdgePaths:
             "start": np.array([r["start"] for r in rows], dtype=np.float64),
             "end": np.array([r["end"] for r in rows], dtype=np.float64),
         }
-        held = {name: read_only(column) for name, column in columns.items()}
+        held: dict[str, Any] = {name: read_only(column) for name, column in columns.items()}
         family = Chain(scene=self.scene, **held, interactions=kinds, objects=objects, legs=legs, vertex=vertex)
         return with_swaps(family, FARTHEST * resolution_of(self.scene, self.search.resolution))
 

@@ -42,10 +42,10 @@ def with_fades(scene: Scene, found: tuple[PathFamily, ...], direct: bool) -> tup
     for pair in np.unique(events.pair).tolist():
         of_pair = _PairEvents.of(events, pair, direct)
         for group in of_pair.groups():
-            for member, share, span in zip(*of_pair.missing(group), strict=True):
+            for member, *given in zip(*of_pair.missing(group), strict=True):
                 place = events.row[member], events.side[member]
-                shares[events.family[member]][place], spans[events.family[member]][place] = share, span
-    made = {id(c): _with(c, *columns) for c, *columns in zip(chains, shares, spans, strict=True)}
+                shares[events.family[member]][place], spans[events.family[member]][place] = given
+    made = {id(c): _with(c, share, span) for c, share, span in zip(chains, shares, spans, strict=True)}
     return tuple(made.get(id(family), family) for family in found)
 
 
@@ -72,11 +72,9 @@ class _PairEvents:
     def of(events: Events, pair: int, direct: bool) -> _PairEvents:
         which = np.flatnonzero(events.pair == pair)
         source = pair // len(events.scene.receivers)
-        at = SceneResponse(
-            events.scene, source, _FREQUENCIES * events.scene.sources[source].emitted.centre_frequency
-        )
+        at = SceneResponse(events.scene, source, _FREQUENCIES * events.scene.sources[source].emitted.centre_frequency)
         exact = events.time[which]
-        instant = np.cumsum(np.diff(exact, prepend=exact[0]) > _NEAR)
+        instant = np.cumsum(np.diff(exact, prepend=exact[0]) > _NEAR).astype(np.int64)
         time = (np.bincount(instant, weights=exact) / np.bincount(instant))[instant]
         value, delay = np.empty((len(which), len(at.frequencies)), dtype=np.complex128), np.empty(len(which))
         over_edges = np.zeros(len(which), dtype=bool)
@@ -118,7 +116,7 @@ class _PairEvents:
         return self.which[group[own]], share, span[own]
 
     def _spans(self, group: Rows) -> Floats:
-        """Times (k,) in which the ends move by the width of the Fresnel zone, at most half of a path's interval, s."""
+        """Compute times (k,) in which the ends move by the Fresnel zone's width, at most half of an interval, s."""
         which, now, events = self.which[group], self.time[group[:1]], self.events
         scene, chains = events.scene, events.chains
         source, receiver = divmod(int(events.pair[which[0]]), len(scene.receivers))
@@ -129,7 +127,7 @@ class _PairEvents:
         room = np.array([0.5 * (chain.end[row] - chain.start[row]) for chain, row in rows])
         c, middle = scene.air.speed_of_sound, self.frequencies[len(self.frequencies) // 2]
         zone = c * np.sqrt(self.delay[group] / middle)
-        return np.minimum(np.clip(zone / np.maximum(speed, 1e-9), _SHORTEST, _LONGEST), room)
+        return np.asarray(np.minimum(np.clip(zone / np.maximum(speed, 1e-9), _SHORTEST, _LONGEST), room))
 
 
 def _each(chain: Chain, rows: Rows, times: Floats, at: SceneResponse) -> tuple[Complexes, Floats]:
@@ -137,7 +135,8 @@ def _each(chain: Chain, rows: Rows, times: Floats, at: SceneResponse) -> tuple[C
     air = chain.scene.air
     if isinstance(chain.vertex, EdgeVertex) and not (chain.legs[0].moving or air.layers or air.fluctuation):
         found = chain.arrivals(rows, times[:, None])
-        return chain.response(rows, found, times[:, None], at)[:, 0], found.delay[:, 0]
+        response: Any = chain.response(rows, found, times[:, None], at)
+        return response[:, 0], found.delay[:, 0]
     value, delay = np.empty((len(rows), len(at.frequencies)), dtype=np.complex128), np.empty(len(rows))
     for first in range(0, len(rows), _ONE_BY_ONE):
         some = slice(first, first + _ONE_BY_ONE)

@@ -117,6 +117,7 @@ class Events:
 
     @staticmethod
     def of(chains: Sequence[Chain], scene: Scene) -> Events:
+        """List those of all rows of chains."""
         parts: list[Any] = []
         for place, family in enumerate(chains):
             pairs = family.source.astype(np.int64) * len(scene.receivers) + family.receiver

@@ -233,7 +233,7 @@ def scatterer_pair_paths(
             raise InputError("scatterers_in_row", f"must give at most {limit} paths (path_limit), but 2 gives more")
     if not found:
         found = [_columns(scene, (sides[0], sides[0], sides[1]), (0, 0), (-1, -1))]
-    columns = {name: read_only(np.concatenate([each[name] for each in found])) for name in found[0]}
+    columns: dict[str, Any] = {name: read_only(np.concatenate([each[name] for each in found])) for name in found[0]}
     which = columns.pop("scatterer")
     nearest = read_only(np.full(len(which), _WIDE * scene.min_distance))
     speeds = np.array([scatterer.peak_speeds() for scatterer in scene.scatterers])
