@@ -39,9 +39,9 @@ class PathOptions:
         exact field of a wedge (Biot, Tolstoy, Medwin, Svensson), for audio and for ends near an edge. Paths over two
         edges are those of "utd".
     edge_fades : bool
-        Whether paths over edges fade towards a beginning or an end at which no other path, or not all of it, takes
-        over, as over one edge more than are found. Else the sum of all paths jumps there. They fade while the ends
-        move by the width of the Fresnel zone, within 0.25 s or half of the path's interval.
+        Whether paths over edges fade where they begin or end and no other path takes over, as over one edge more than
+        are found. Else the sum of all paths jumps there. A fade takes the time in which the ends move by the width of
+        the Fresnel zone. It takes at most 0.25 s, and half of the path's interval.
     scattering_order : int
         Largest number of reflections on the way to a scatterer, and of those on the way from it, 0 to 3. An echo of N
         walls has the shadow of a sphere if it is at least N.
