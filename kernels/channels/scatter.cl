@@ -1,17 +1,20 @@
 // The impulse response of a receiver at one instant, for each function of frequency: every path is spread over eight
-// points of a grid, five to four samples, by a Kaiser-Bessel window (render/channel_grid.py). Work-item: dimension 0
+// points of a grid, four to three samples, by a Kaiser-Bessel window (render/channel_grid.py). Work-item: dimension 0
 // counts groups of nodes (instants), dimension 1 receivers. Paths are evaluated some at a time, at all nodes of a group,
 // before they are spread: among so many places that are written, polynomials would come from memory line by line.
 // Neighbouring slots have delays that lie far apart, so that what one path adds does not wait for what the last one wrote.
-// Responses of envelopes (DELAY_TERMS == 8) are turned by the carrier: of each function, a grid of real parts and one of imaginary ones.
+// Grids are complex (convolve.cl): those of two neighbouring nodes are real and imaginary parts. Responses of envelopes
+// (DELAY_TERMS == 8) are turned by the carrier, and complex themselves.
 
 #define TILE (FUNCTIONS > 32 ? 64 : 256)  // paths that are evaluated at a time: their results stay in cache
 #define ENVELOPE (DELAY_TERMS == 8)
+// Where the first grid of a node is, after those of its receiver in the first unit.
+#define OF_NODE_AT(node) (ENVELOPE ? (node) * of_unit : ((node) >> 1) * of_unit + ((node) & 1) * points)
 #define FLOATS_OF(x) (AS_VEC((x) + ROUNDING_BITS) - ROUNDING)  // small whole numbers, see rounding.h
 
 __kernel void scatter(__global const int* delay, __global const float* polynomials,  // as in render.cl
                       int slots, int functions,
-                      __global const int* node_block,    // [nodes], of `delay` and `polynomials`
+                      __global const int* node_block,    // [nodes], of `delay` and `polynomials`; -1 where a neighbour is missing
                       __global const float* node_place,  // [nodes], in the block, -1 to 1
                       __global const float* node_sample,  // [nodes], of the run, as `rise` and `fall`
                       int nodes,
@@ -23,19 +26,19 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
                       int first,                         // samples of delay at the grid's beginning
                       float shift,                       // samples that are added to all delays
                       int points,                        // of a grid
-                      int reached,                       // of these, now or before: the others are 0
                       ulong turn_per_sample,             // of the carrier; one turn is 2^64
                       float half_turns_per_sample,
-                      __global float* grids)             // [nodes][receivers][functions][1 + ENVELOPE][points]
+                      __global float* grids)             // [units][receivers][functions][2][points]
 {
     const int receiver = get_global_id(1), first_node = get_global_id(0) * TOGETHER, power = functions * BESIDE;
     const int last_node = first_node + TOGETHER < nodes ? first_node + TOGETHER : nodes;
-    const int each = functions * (1 + ENVELOPE);
-    const long of_node = (long)receivers * each * points;
-    __global float* made = grids + receiver * (long)each * points;
+    const int each = functions * (1 + ENVELOPE), apart = (2 - ENVELOPE) * points;
+    const long of_unit = 2L * receivers * functions * points;
+    __global float* made = grids + 2L * receiver * functions * points;
     for (int node = first_node; node < last_node; node++) {
         for (int k = 0; k < each; k++) {
-            for (int i = 0; i < reached; i++) made[node * of_node + k * (long)points + i] = 0.0f;
+            __global float* out = made + OF_NODE_AT(node) + k * (long)apart;
+            for (int i = 0; i < points; i++) out[i] = 0.0f;
         }
     }
     int at[TILE], phase[TILE];
@@ -48,6 +51,7 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
         for (int node = first_node; node < last_node; node++) {
             const float t = node_place[node];
             const int row = node_block[node];
+            if (row < 0) continue;
             for (int i = 0; i < count; i += LANES) {
                 __global const float* c = polynomials + place_of(row, from + i, functions, slots);
                 __global const int* whole = delay + row * (long)slots + from + i;
@@ -59,10 +63,11 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
                 vec cosine, sine;
                 half_turns(rest * half_turns_per_sample + *(loose_vec*)turn, &cosine, &sine);
 #endif
-                const ivec quarters = (*(__global const loose_ivec*)whole - first) * 5;
-                const vec place = FLOATS_OF(quarters & 3) * 0.25f + (rest + shift) * 1.25f, down = rounded(place - 0.5f);
+                // A third of small whole numbers: rounded down by a product, their float is right to the last bit.
+                const ivec samples = *(__global const loose_ivec*)whole - first, thirds = nearest(FLOATS_OF(samples - 1) * 0.333333333f);
+                const vec place = FLOATS_OF(samples - 3 * thirds) * 1.33333333f + (rest + shift) * 1.33333333f, down = rounded(place - 0.5f);
                 const vec fine = (place - down) * (float)PHASES, left = rounded(fine - 0.5f);
-                *(loose_ivec*)(at + i) = (quarters >> 2) + nearest(down) - (TAPS / 2 - 1);
+                *(loose_ivec*)(at + i) = 4 * thirds + nearest(down) - (TAPS / 2 - 1);
                 *(loose_ivec*)(phase + i) = nearest(left) + 1;
                 *(loose_vec*)(between + i) = fine - left;
 #if TAPERED
@@ -90,8 +95,8 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
 #endif
                 __global const float* w = window + phase[i] * (2 * TAPS);
                 const vec spread = LOAD(w) + LOAD(w + TAPS) * between[i];
-                __global float* out = made + node * of_node + at[i];
-                for (int k = 0; k < each; k++, out += points) {
+                __global float* out = made + OF_NODE_AT(node) + at[i];
+                for (int k = 0; k < each; k++, out += apart) {
                     *(__global loose_vec*)out = LOAD(out) + spread * gain[k][i];
                 }
             }

@@ -11,12 +11,22 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats
 from clsim.opencl.launch import work
-from clsim.render.channel_grid import PHASES, TAPS, ChannelFilters, ChannelFrames, ChannelGrid, nodes_of, window_table
+from clsim.render.channel_grid import (
+    COARSER,
+    FINER,
+    PHASES,
+    TAPS,
+    ChannelFilters,
+    ChannelFrames,
+    ChannelGrid,
+    nodes_of,
+    window_table,
+)
 from clsim.render.envelope import EnvelopeFilters
 from clsim.render.opencl.batches import ActivePaths, Fades, PathBatch, in_batches
 from clsim.render.opencl.branch_signals import Branches, Task
 from clsim.render.opencl.engine import OpenclEngine, Run
-from clsim.render.opencl.host_nodes import side_by_side, thread_count
+from clsim.render.opencl.host_nodes import thread_count
 from clsim.render.plan import Plan
 from clsim.render.source_filters import SourceFilters
 from clsim.tracks.splines import TAPER_TERMS, Tapers, taper_terms
@@ -105,8 +115,8 @@ class TaperedEngine(OpenclEngine):
 
 
 _APART = 8  # neighbouring slots whose delays lie far apart, see scatter.cl
-_TOGETHER = 4  # nodes to a thread at a time. SciPy transforms four side by side; others take three times as long each
-_AT_ONCE = 32 * 2**20  # bytes of grids that are made at a time: a launch takes as long as some hundred thousand places
+_TOGETHER = 4  # nodes to a thread at a time, a whole number of units
+_AT_ONCE = 16 * 2**20  # bytes of grids that are made at a time: the third cache holds them
 _MARGIN = 64  # samples beside the bounds of delays
 
 
@@ -126,7 +136,15 @@ class ChannelEngine(OpenclEngine):
         self.window = self._upload(window_table().astype(np.float32))
         self.branch_signals.last = -(2**62)  # there are none to prepare
         self._filters = [ChannelFilters.of(filters) for filters in plan.source_filters]
-        self.reached: dict[tuple[int, ...], int] = {}  # points of grids of a shape (1:) that were ever written
+        self._tables: dict[ChannelGrid, dict[str, Any]] = {}
+
+    def tables(self, frames: ChannelFrames) -> dict[str, Any]:
+        """Return the tables of transforms of frames, and the weights of their samples, on the device."""
+        if frames.grid not in self._tables:
+            names = "radix", "turns", "lane_turns", "back_turns"
+            made = {name: getattr(frames.transform, name) for name in names} | {"window": np.pad(frames.window, FINER)}
+            self._tables = {frames.grid: {name: self._upload(table) for name, table in made.items()}}
+        return self._tables[frames.grid]
 
     def until(self, last: int) -> None:
         """Prepare nothing anyway."""
@@ -172,11 +190,6 @@ class _ChannelRun(Run):
         super().__post_init__()
         self._tapers = BatchTapers(self._plan, self._batch)
 
-    @property
-    def _parts(self) -> int:
-        """Return the number of grids of a function: real and imaginary parts of envelopes."""
-        return 1 if self._plan.baseband is None else 2
-
     @staticmethod
     def _turns(filters: SourceFilters) -> dict[str, Any]:
         """Return the turn of the carrier of envelopes over a sample, as the kernel takes it."""
@@ -195,53 +208,81 @@ class _ChannelRun(Run):
         begin, frames, rows = segment * self._plan.segment, self._task.frames, self._batch.row
         spacing, first, last = frames.grid.spacing, self._start + begin, self._start + end
         wanted = frames.active_nodes(range(-(-first // spacing), -(-last // spacing)))
-        unit, of_receiver = _TOGETHER * thread_count(), 4 * self._parts * self._gains * frames.grid.points
+        first_nodes, counts = _units(wanted, 2 if frames.is_real else 1)
+        nodes_of_unit, of_grid = np.arange(2 if frames.is_real else 1), 4 * len(frames.transform.lane_turns) * FINER
+        of_receiver = 2 * self._gains * of_grid
+        unit = _TOGETHER // len(nodes_of_unit) * thread_count()
         beside = min(max(1, _AT_ONCE // (unit * of_receiver)), len(rows))
         step = unit * max(1, _AT_ONCE // (unit * beside * of_receiver))
-        for some in (wanted[i : i + step] for i in range(0, len(wanted), step)):
-            at = np.array(some) * spacing - first
-            place = 2.0 * (at % block) / block - 1.0
+        for i in range(0, len(counts), step):
+            some, there = first_nodes[i : i + step], nodes_of_unit < counts[i : i + step, None]
+            at = (some[:, None] + nodes_of_unit).ravel() * spacing - first
             where = {
-                "node_block": (at // block + first_block).astype(np.int32), "node_place": place.astype(np.float32),
+                "node_block": np.where(there.ravel(), at // block + first_block, -1).astype(np.int32),
+                "node_place": (2.0 * (at % block) / block - 1.0).astype(np.float32), "nodes": len(at),
                 "node_sample": at.astype(np.float32), **self._tapers.arguments(first),
             }  # fmt: skip
-            spectra = frames.spectra(some)
-            for i in range(0, len(rows), beside):
-                self._scattered(nodes, some, where, spectra, slice(i, min(i + beside, len(rows))))
+            factors = frames.factors(some.tolist())
+            for k in range(0, len(rows), beside):
+                self._scattered(nodes, (some, there), where, factors, slice(k, min(k + beside, len(rows))))
 
     def _scattered(
-        self, nodes: Any, some: list[int], where: dict[str, Any], spectra: NDArray[Any], receivers: slice
-    ) -> None:
-        """Make responses of some nodes, by their blocks and places there, to some receivers, and add their sound."""
-        import pyopencl as cl
-
+        self, nodes: Any, units: tuple[NDArray[Any], NDArray[Any]], where: dict[str, Any],
+        factors: tuple[NDArray[Any], NDArray[Any]], receivers: slice,
+    ) -> None:  # fmt: skip
+        """Make responses of the nodes of units, by their blocks and places there, to some receivers."""
         engine, frames, rows = self._engine, self._task.frames, self._batch.row[receivers]
-        shape = len(some), len(rows), self._parts * self._gains, frames.grid.points
-        grids = engine._scratch.take(("grids", shape[1:]), 4 * math.prod(shape), zeros=True)
-        reached = engine.reached[shape[1:]] = max(frames.grid.reached, engine.reached.get(shape[1:], 0))
+        count, points = len(units[0]), len(frames.transform.lane_turns) * FINER
+        grids = engine._scratch.take("grids", 8 * count * len(rows) * self._gains * points)
         filters = self._plan.source_filters[self._source]
-        bank, room = filters.bank, 1 if shape[2] == 1 else -(-shape[2] // 8) * 8
+        bank = filters.bank
+        room = self._gains * (1 if frames.is_real else 2)
         constants = {
-            "LANES": 8, "FUNCTIONS": room, "PHASES": PHASES, "TAPS": TAPS, "TOGETHER": _TOGETHER,
-            "TAPERED": int(self._tapers.there), **CONSTANTS, **self._polynomial_constants(nodes),
+            "LANES": 8, "FUNCTIONS": 1 if room == 1 else -(-room // 8) * 8, "PHASES": PHASES, "TAPS": TAPS,
+            "TOGETHER": _TOGETHER, "TAPERED": int(self._tapers.there), **CONSTANTS, **self._polynomial_constants(nodes),
         }  # fmt: skip
         engine._compiler.kernel("scatter", constants)(
-            engine._queue, work(-(-len(some) // _TOGETHER), len(rows), group=1), delay=nodes.delay,
-            polynomials=nodes.polynomials, slots=self._batch.count, functions=self._gains, nodes=len(some), **where,
+            engine._queue, work(-(-where["nodes"] // _TOGETHER), len(rows), group=1), delay=nodes.delay,
+            polynomials=nodes.polynomials, slots=self._batch.count, functions=self._gains, **where,
             first_slot=self._batch.first_slot[receivers.start : receivers.stop + 1], receivers=len(rows),
             window=engine.window, first=frames.grid.first - math.floor(bank.shift),
-            shift=bank.shift - math.floor(bank.shift), points=shape[3], reached=reached, grids=grids,
-            **self._turns(filters),
+            shift=bank.shift - math.floor(bank.shift), points=points, grids=grids, **self._turns(filters),
         )  # fmt: skip
-        mapped: Any = cl.enqueue_map_buffer(engine._queue, grids, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
-        # Of each function the channels of a receiver come side by side.
-        made = mapped.reshape(len(some), len(rows), self._functions, self._channels, self._parts, shape[3])
-        made = made.swapaxes(2, 3).reshape(len(some), -1, self._functions, self._parts, shape[3])
-        made = made[..., 0, :] if self._parts == 1 else made
-        rows = (rows[:, None] + np.arange(self._channels)).ravel()
-        parts = np.array_split(np.arange(len(some)), min(thread_count(), len(some)))
-        received = side_by_side(lambda part: frames.received(spectra[part], made[part[0] : part[-1] + 1]), parts)
+        self._convolved(grids, units, factors, rows)
+
+    def _convolved(
+        self, grids: Any, units: tuple[NDArray[Any], NDArray[Any]], factors: tuple[NDArray[Any], NDArray[Any]],
+        rows: NDArray[np.int32],
+    ) -> None:  # fmt: skip
+        """Add what receivers hear by the grids of units to the pressure."""
+        import pyopencl as cl
+
+        engine, frames, grid = self._engine, self._task.frames, self._task.frames.grid
+        shape = len(units[0]), len(rows), self._channels, 2, len(frames.window) + 2 * FINER
+        received = engine._scratch.take("received", 4 * math.prod(shape))
+        strides = (0, factors[1][0].size) if frames.is_real else (factors[0][0].size, 0)
+        engine._compiler.kernel("convolve", {"LANES": FINER})(
+            engine._queue, work(*shape[:3], group=1), grids=grids, functions=self._functions,
+            count=grid.size // COARSER, **engine.tables(frames), inner=factors[0], inner_stride=strides[0],
+            outer=factors[1], outer_stride=strides[1], first=grid.span,
+            apart=grid.spacing if frames.is_real else 0, length=len(frames.window), stride=shape[-1], received=received,
+        )  # fmt: skip
+        mapped: Any = cl.enqueue_map_buffer(engine._queue, received, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
+        into = (rows[:, None] + np.arange(self._channels)).ravel()
+        made = np.moveaxis(mapped.reshape(len(units[0]), len(into), 2, -1)[..., FINER:-FINER], 2, 1)
+        for first, there, parts in zip(units[0].tolist(), units[1], made, strict=True):
+            for i in np.flatnonzero(there).tolist():
+                frames.add(first + i, into, parts[i] if frames.is_real else parts[0] + 1j * parts[1])
         mapped.base.release(engine._queue)
-        for part, samples in zip(parts, received, strict=True):
-            for i, of_node in zip(part, samples, strict=True):
-                frames.add(some[i], rows, of_node)
+
+
+def _units(nodes: list[int], together: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first nodes of units of up to so many neighbours, and the number of nodes of each."""
+    first, counts = list[int](), list[int]()
+    for node in nodes:
+        if first and counts[-1] < together and node == first[-1] + counts[-1]:
+            counts[-1] += 1
+        else:
+            first.append(node)
+            counts.append(1)
+    return np.array(first, np.int64), np.array(counts, np.int64)
