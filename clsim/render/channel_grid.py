@@ -264,10 +264,13 @@ class ChannelFrames:
 
         return np.asarray(fft(np.stack([self._frame(node) for node in nodes])))
 
-    def factors(self, nodes: Sequence[int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the factors of the spectra of functions, and of their sum, for units of ``convolve.cl``."""
+    def factors(self, nodes: Sequence[int]) -> dict[str, Any]:
+        """Return the factors of the spectra of functions, and of their sum, for units of ``scatter.cl``."""
         emitted = self.transform.packed(self.spectra(nodes))
-        return (self._shapes, emitted) if self.is_real else (emitted, self._shapes)
+        factors = (self._shapes, emitted) if self.is_real else (emitted, self._shapes)
+        of_unit = emitted[0].size
+        strides = {"inner_stride": 0, "outer_stride": of_unit} if self.is_real else {"inner_stride": of_unit, "outer_stride": 0}
+        return dict(zip(("inner", "outer"), factors, strict=True)) | strides
 
     def received(self, emitted: NDArray[Any], grids: NDArray[Any]) -> NDArray[Any]:
         """Return weighted samples (nodes, rows, n) of spectra and responses (nodes, rows, K, points)."""

@@ -1,56 +1,60 @@
-// Fourier transforms of vectors in place, LANES side by side, real and imaginary parts apart. What is left is in the order of
+// Fourier transforms of vectors in place, WIDE side by side, real and imaginary parts apart. What is left is in the order of
 // `digit_reversed` in render/channel_grid.py, and so inverse transforms begin. These are forward ones with real and imaginary
 // parts exchanged, and with their passes in the opposite order.
 
+#define WIDE 16
+typedef float16 wide;
+typedef float16 __attribute__((aligned(4))) loose_wide;  // may start at any float
+#define LOAD_WIDE(pointer) (*(__global const loose_wide*)(pointer))
 #define INLINE static __attribute__((always_inline))
 
 // Sums and differences of products; vectors as arguments let compilers use registers as wide as these.
-static vec plus(vec x, vec c, vec y, vec s) { return x * c + y * s; }
-static vec minus(vec x, vec c, vec y, vec s) { return x * c - y * s; }
+static wide plus(wide x, wide c, wide y, wide s) { return x * c + y * s; }
+static wide minus(wide x, wide c, wide y, wide s) { return x * c - y * s; }
 
 // Turn number i back by the angle of a cosine and a sine.
 #define TURN(a, b, i, c, s)                                \
     {                                                      \
-        const vec x = a[i], y = b[i];                      \
+        const wide x = a[i], y = b[i];                      \
         a[i] = plus(x, c, y, s), b[i] = minus(y, c, x, s); \
     }
 
 // Transforms of R numbers from number i on.
-INLINE void dft2(vec* a, vec* b, int i, int step)
+INLINE void dft2(wide* a, wide* b, int i, int step)
 {
-    const vec x = a[i + step], y = b[i + step];
+    const wide x = a[i + step], y = b[i + step];
     a[i + step] = a[i] - x, b[i + step] = b[i] - y;
     a[i] += x, b[i] += y;
 }
 
-INLINE void dft3(vec* a, vec* b, int i, int step)
+INLINE void dft3(wide* a, wide* b, int i, int step)
 {
     const int j = i + step, k = j + step;
-    const vec x = a[j] + a[k], y = b[j] + b[k], s = 0.866025404f * (a[j] - a[k]), u = 0.866025404f * (b[j] - b[k]);
-    const vec p = a[i] - 0.5f * x, q = b[i] - 0.5f * y;
+    const wide x = a[j] + a[k], y = b[j] + b[k], s = 0.866025404f * (a[j] - a[k]), u = 0.866025404f * (b[j] - b[k]);
+    const wide p = a[i] - 0.5f * x, q = b[i] - 0.5f * y;
     a[i] += x, b[i] += y;
     a[j] = p + u, b[j] = q - s;
     a[k] = p - u, b[k] = q + s;
 }
 
-INLINE void dft4(vec* a, vec* b, int i, int step)
+INLINE void dft4(wide* a, wide* b, int i, int step)
 {
     const int j = i + step, k = j + step, l = k + step;
-    const vec p = a[i] + a[k], q = b[i] + b[k], r = a[i] - a[k], s = b[i] - b[k];
-    const vec t = a[j] + a[l], u = b[j] + b[l], v = a[j] - a[l], w = b[j] - b[l];
+    const wide p = a[i] + a[k], q = b[i] + b[k], r = a[i] - a[k], s = b[i] - b[k];
+    const wide t = a[j] + a[l], u = b[j] + b[l], v = a[j] - a[l], w = b[j] - b[l];
     a[i] = p + t, b[i] = q + u;
     a[j] = r + w, b[j] = s - v;
     a[k] = p - t, b[k] = q - u;
     a[l] = r - w, b[l] = s + v;
 }
 
-INLINE void dft5(vec* a, vec* b)
+INLINE void dft5(wide* a, wide* b)
 {
     const float c = 0.309016994f, d = -0.809016994f, s = 0.951056516f, u = 0.587785252f;
-    const vec p = a[1] + a[4], q = b[1] + b[4], r = a[2] + a[3], t = b[2] + b[3];
-    const vec v = a[1] - a[4], w = b[1] - b[4], x = a[2] - a[3], y = b[2] - b[3];
-    const vec e = a[0] + c * p + d * r, f = b[0] + c * q + d * t, g = a[0] + d * p + c * r, h = b[0] + d * q + c * t;
-    const vec k = s * v + u * x, l = s * w + u * y, m = u * v - s * x, n = u * w - s * y;
+    const wide p = a[1] + a[4], q = b[1] + b[4], r = a[2] + a[3], t = b[2] + b[3];
+    const wide v = a[1] - a[4], w = b[1] - b[4], x = a[2] - a[3], y = b[2] - b[3];
+    const wide e = a[0] + c * p + d * r, f = b[0] + c * q + d * t, g = a[0] + d * p + c * r, h = b[0] + d * q + c * t;
+    const wide k = s * v + u * x, l = s * w + u * y, m = u * v - s * x, n = u * w - s * y;
     a[0] += p + r, b[0] += q + t;
     a[1] = e + l, b[1] = f - k;
     a[2] = g + n, b[2] = h - m;
@@ -66,7 +70,7 @@ __constant float sines[2][10] = {{0.0f, 0.5f, 0.866025404f, 1.0f, 0.866025404f, 
 
 // Transform of 4 R numbers, R from 2 to 4. Number k is left at PLACED(k, R).
 #define PLACED(k, R) ((R) * ((k) % 4) + (k) / 4)
-INLINE void dft4r(vec* a, vec* b, const int R)
+INLINE void dft4r(wide* a, wide* b, const int R)
 {
 #pragma unroll
     for (int i = 0; i < R; i++) dft4(a, b, i, R);
@@ -90,10 +94,10 @@ INLINE void pass(__global float* re, __global float* im, int count, int length, 
     const int step = length / R;
     for (int i = 0; i < step; i++, turns += 2 * (R - 1)) {
         for (int at = i; at < count; at += length) {
-            vec a[16], b[16];
+            wide a[16], b[16];
 #pragma unroll
             for (int k = 0; k < R; k++) {
-                a[k] = LOAD(re + (at + k * step) * LANES), b[k] = LOAD(im + (at + k * step) * LANES);
+                a[k] = LOAD_WIDE(re + (at + k * step) * WIDE), b[k] = LOAD_WIDE(im + (at + k * step) * WIDE);
                 if (inverse && k) TURN(a, b, k, turns[2 * k - 2], turns[2 * k - 1])
             }
             if (R == 2) dft2(a, b, 0, 1);
@@ -105,8 +109,8 @@ INLINE void pass(__global float* re, __global float* im, int count, int length, 
             for (int k = 0; k < R; k++) {
                 const int from = R > 5 ? PLACED(k, R / 4) : k;
                 if (!inverse && k) TURN(a, b, from, turns[2 * k - 2], turns[2 * k - 1])
-                *(__global loose_vec*)(re + (at + k * step) * LANES) = a[from];
-                *(__global loose_vec*)(im + (at + k * step) * LANES) = b[from];
+                *(__global loose_wide*)(re + (at + k * step) * WIDE) = a[from];
+                *(__global loose_wide*)(im + (at + k * step) * WIDE) = b[from];
             }
         }
     }

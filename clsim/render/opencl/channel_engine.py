@@ -115,8 +115,9 @@ class TaperedEngine(OpenclEngine):
 
 
 _APART = 8  # neighbouring slots whose delays lie far apart, see scatter.cl
-_TOGETHER = 4  # nodes to a thread at a time, a whole number of units
-_AT_ONCE = 16 * 2**20  # bytes of grids that are made at a time: the third cache holds them
+_AT_ONCE = 32 * 2**20  # bytes of what is heard, or of factors, that are made at a time
+_CACHED = 640 * 2**10  # bytes of grids of a thread: the second cache holds them
+_UNITS, _FUNCTIONS = (2, 1), (8, 4, 2, 1)  # that are taken at a time where their grids do not take more
 _MARGIN = 64  # samples beside the bounds of delays
 
 
@@ -142,7 +143,7 @@ class ChannelEngine(OpenclEngine):
         """Return the tables of transforms of frames, and the weights of their samples, on the device."""
         if frames.grid not in self._tables:
             names = "radix", "turns", "lane_turns", "back_turns"
-            made = {name: getattr(frames.transform, name) for name in names} | {"window": np.pad(frames.window, FINER)}
+            made = {name: getattr(frames.transform, name) for name in names} | {"weights": np.pad(frames.window, FINER)}
             self._tables = {frames.grid: {name: self._upload(table) for name, table in made.items()}}
         return self._tables[frames.grid]
 
@@ -208,64 +209,51 @@ class _ChannelRun(Run):
         begin, frames, rows = segment * self._plan.segment, self._task.frames, self._batch.row
         spacing, first, last = frames.grid.spacing, self._start + begin, self._start + end
         wanted = frames.active_nodes(range(-(-first // spacing), -(-last // spacing)))
-        first_nodes, counts = _units(wanted, 2 if frames.is_real else 1)
-        nodes_of_unit, of_grid = np.arange(2 if frames.is_real else 1), 4 * len(frames.transform.lane_turns) * FINER
-        of_receiver = 2 * self._gains * of_grid
-        unit = _TOGETHER // len(nodes_of_unit) * thread_count()
-        beside = min(max(1, _AT_ONCE // (unit * of_receiver)), len(rows))
-        step = unit * max(1, _AT_ONCE // (unit * beside * of_receiver))
-        for i in range(0, len(counts), step):
-            some, there = first_nodes[i : i + step], nodes_of_unit < counts[i : i + step, None]
-            at = (some[:, None] + nodes_of_unit).ravel() * spacing - first
+        rows, plane = self._batch.row, 4 * len(frames.transform.lane_turns) * FINER
+        together = next((n for n in _UNITS if 2 * n * self._gains * plane <= _CACHED), 1)
+        of_unit = np.arange(2 if frames.is_real else 1)
+        first_nodes, there = _units(wanted, len(of_unit), together)
+        of_receiver = 8 * self._channels * (len(frames.window) + 2 * FINER)
+        beside = min(max(1, _AT_ONCE // (together * of_receiver)), len(rows))
+        step = together * max(1, _AT_ONCE // (together * max(beside * of_receiver, 4 * plane)))
+        for i in range(0, len(first_nodes), step):
+            some = first_nodes[i : i + step], there[i : i + step]
+            at = (some[0][:, None] + of_unit).ravel() * spacing - first
             where = {
-                "node_block": np.where(there.ravel(), at // block + first_block, -1).astype(np.int32),
+                "node_block": np.where(some[1].ravel(), at // block + first_block, -1).astype(np.int32),
                 "node_place": (2.0 * (at % block) / block - 1.0).astype(np.float32), "nodes": len(at),
-                "node_sample": at.astype(np.float32), **self._tapers.arguments(first),
+                "node_sample": at.astype(np.float32), **self._tapers.arguments(first), **frames.factors(some[0].tolist()),
             }  # fmt: skip
-            factors = frames.factors(some.tolist())
             for k in range(0, len(rows), beside):
-                self._scattered(nodes, (some, there), where, factors, slice(k, min(k + beside, len(rows))))
+                self._heard(nodes, some, where, together, slice(k, min(k + beside, len(rows))))
 
-    def _scattered(
-        self, nodes: Any, units: tuple[NDArray[Any], NDArray[Any]], where: dict[str, Any],
-        factors: tuple[NDArray[Any], NDArray[Any]], receivers: slice,
+    def _heard(
+        self, nodes: Any, units: tuple[NDArray[Any], NDArray[Any]], where: dict[str, Any], together: int,
+        receivers: slice,
     ) -> None:  # fmt: skip
-        """Make responses of the nodes of units, by their blocks and places there, to some receivers."""
-        engine, frames, rows = self._engine, self._task.frames, self._batch.row[receivers]
-        count, points = len(units[0]), len(frames.transform.lane_turns) * FINER
-        grids = engine._scratch.take("grids", 8 * count * len(rows) * self._gains * points)
-        filters = self._plan.source_filters[self._source]
-        bank = filters.bank
-        room = self._gains * (1 if frames.is_real else 2)
-        constants = {
-            "LANES": 8, "FUNCTIONS": 1 if room == 1 else -(-room // 8) * 8, "PHASES": PHASES, "TAPS": TAPS,
-            "TOGETHER": _TOGETHER, "TAPERED": int(self._tapers.there), **CONSTANTS, **self._polynomial_constants(nodes),
-        }  # fmt: skip
-        engine._compiler.kernel("scatter", constants)(
-            engine._queue, work(-(-where["nodes"] // _TOGETHER), len(rows), group=1), delay=nodes.delay,
-            polynomials=nodes.polynomials, slots=self._batch.count, functions=self._gains, **where,
-            first_slot=self._batch.first_slot[receivers.start : receivers.stop + 1], receivers=len(rows),
-            window=engine.window, first=frames.grid.first - math.floor(bank.shift),
-            shift=bank.shift - math.floor(bank.shift), points=points, grids=grids, **self._turns(filters),
-        )  # fmt: skip
-        self._convolved(grids, units, factors, rows)
-
-    def _convolved(
-        self, grids: Any, units: tuple[NDArray[Any], NDArray[Any]], factors: tuple[NDArray[Any], NDArray[Any]],
-        rows: NDArray[np.int32],
-    ) -> None:  # fmt: skip
-        """Add what receivers hear by the grids of units to the pressure."""
+        """Add what some receivers hear by their responses at the nodes of units, by their blocks and places there."""
         import pyopencl as cl
 
-        engine, frames, grid = self._engine, self._task.frames, self._task.frames.grid
+        engine, frames, rows = self._engine, self._task.frames, self._batch.row[receivers]
+        filters, grid, positions = self._plan.source_filters[self._source], frames.grid, len(frames.transform.lane_turns)
+        bank, of_function, nodes_in_unit = filters.bank, 8 * together * positions * FINER, 2 if frames.is_real else 1
+        some = next((n for n in _FUNCTIONS if n < 2 * self._gains and n * of_function <= _CACHED), 1)
+        of_worker = 2 * together * positions * (some * FINER + self._channels * COARSER)
+        workers = min(2 * thread_count(), len(units[0]) // together * len(rows))
         shape = len(units[0]), len(rows), self._channels, 2, len(frames.window) + 2 * FINER
         received = engine._scratch.take("received", 4 * math.prod(shape))
-        strides = (0, factors[1][0].size) if frames.is_real else (factors[0][0].size, 0)
-        engine._compiler.kernel("convolve", {"LANES": FINER})(
-            engine._queue, work(*shape[:3], group=1), grids=grids, functions=self._functions,
-            count=grid.size // COARSER, **engine.tables(frames), inner=factors[0], inner_stride=strides[0],
-            outer=factors[1], outer_stride=strides[1], first=grid.span,
-            apart=grid.spacing if frames.is_real else 0, length=len(frames.window), stride=shape[-1], received=received,
+        constants = {
+            "LANES": 8, "FUNCTIONS": some, "PHASES": PHASES, "TAPS": TAPS, "TOGETHER": together * nodes_in_unit,
+            "TAPERED": int(self._tapers.there), **CONSTANTS, **self._polynomial_constants(nodes),
+        }  # fmt: skip
+        engine._compiler.kernel("scatter", constants)(
+            engine._queue, work(workers, group=1), delay=nodes.delay, polynomials=nodes.polynomials,
+            slots=self._batch.count, functions=self._functions, channels=self._channels, **where,
+            first_slot=self._batch.first_slot[receivers.start : receivers.stop + 1], receivers=len(rows),
+            window=engine.window, first=grid.first - math.floor(bank.shift), shift=bank.shift - math.floor(bank.shift),
+            **self._turns(filters), count=grid.size // COARSER, **engine.tables(frames), heard=grid.span,
+            apart=grid.spacing * (nodes_in_unit - 1), length=len(frames.window), stride=shape[-1],
+            scratch=engine._scratch.take("grids", 4 * workers * of_worker), of_worker=of_worker, received=received,
         )  # fmt: skip
         mapped: Any = cl.enqueue_map_buffer(engine._queue, received, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
         into = (rows[:, None] + np.arange(self._channels)).ravel()
@@ -276,13 +264,18 @@ class _ChannelRun(Run):
         mapped.base.release(engine._queue)
 
 
-def _units(nodes: list[int], together: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first nodes of units of up to so many neighbours, and the number of nodes of each."""
+def _units(nodes: list[int], in_unit: int, together: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the first nodes (units,) of units of up to so many neighbours, and which nodes (units, in_unit) there are.
+
+    The number of units is a multiple of those that are taken together.
+    """
     first, counts = list[int](), list[int]()
     for node in nodes:
-        if first and counts[-1] < together and node == first[-1] + counts[-1]:
+        if first and counts[-1] < in_unit and node == first[-1] + counts[-1]:
             counts[-1] += 1
         else:
             first.append(node)
             counts.append(1)
-    return np.array(first, np.int64), np.array(counts, np.int64)
+    spare = -len(first) % together
+    units, there = np.array(first + first[:1] * spare, np.int64), np.array(counts + [0] * spare)
+    return units, np.arange(in_unit) < there[:, None]
