@@ -133,8 +133,8 @@ class Transform:
 
     def packed(self, spectra: NDArray[Any]) -> NDArray[np.float32]:
         """Return spectra (..., size) in the order of transforms, as kernels take them."""
-        found = spectra[..., self.bins]
-        return np.stack([found.real, found.imag], axis=-2).astype(np.float32)
+        found = np.take(spectra.astype(np.complex64, copy=False), self.bins, axis=-1, mode="clip")
+        return found.view(np.float32)
 
 
 @dataclass(frozen=True, slots=True)

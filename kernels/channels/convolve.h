@@ -34,6 +34,11 @@ INLINE void transpose(wide* a)
     _Pragma("unroll") for (int p = 0; p < WIDE; p++)                                                                    \
         TURN(a, b, p, LOAD_WIDE((turns) + 2 * p * WIDE), LOAD_WIDE((turns) + (2 * p + 1) * WIDE))
 
+// Real and imaginary parts of WIDE complex numbers.
+#define COMPLEX(from, x, y)                                                   \
+    const wide low = LOAD_WIDE(from), high = LOAD_WIDE((from) + WIDE);        \
+    const wide x = (wide)(low.even, high.even), y = (wide)(low.odd, high.odd);
+
 typedef struct {
     int count, groups, plane;             // vectors of a grid, groups of WIDE of them, and floats
     __constant int* radix;                // of the passes of transforms, then 0
@@ -42,7 +47,8 @@ typedef struct {
     __global const float* back_turns;     // the same, of those at the sampling rate
 } transform;
 
-// Transform a grid of real and imaginary parts, and add it times `factors`, [groups][KEPT][2][WIDE], to a sum like these.
+// Transform a grid of real and imaginary parts, and add it times `factors`, [groups][KEPT][WIDE] complex numbers, to a sum
+// [groups][KEPT][2][WIDE].
 static void __attribute__((noinline)) add_spectrum(const transform* of, __global float* grid, __global const float* factors,
                                                    __global float* sum, int begins)
 {
@@ -59,7 +65,7 @@ static void __attribute__((noinline)) add_spectrum(const transform* of, __global
 #pragma unroll
         for (int j = 0; j < KEPT; j++) {
             const int from = PLACED(j < KEPT / 2 ? j : j + WIDE - KEPT, 4), at = 2 * (q * KEPT + j) * WIDE;
-            const wide x = LOAD_WIDE(factors + at), y = LOAD_WIDE(factors + at + WIDE);
+            COMPLEX(factors + at, x, y)
             const wide u = minus(a[from], x, b[from], y), v = plus(a[from], y, b[from], x);
             *(__global loose_wide*)(sum + at) = begins ? u : LOAD_WIDE(sum + at) + u;
             *(__global loose_wide*)(sum + at + WIDE) = begins ? v : LOAD_WIDE(sum + at + WIDE) + v;
@@ -76,7 +82,7 @@ static void __attribute__((noinline)) transform_back(const transform* of, __glob
 #pragma unroll
         for (int j = 0; j < KEPT; j++) {
             const int at = 2 * (q * KEPT + j) * WIDE;
-            const wide x = LOAD_WIDE(factors + at), y = LOAD_WIDE(factors + at + WIDE);
+            COMPLEX(factors + at, x, y)
             a[j] = minus(LOAD_WIDE(sum + at), x, LOAD_WIDE(sum + at + WIDE), y);
             b[j] = plus(LOAD_WIDE(sum + at), y, LOAD_WIDE(sum + at + WIDE), x);
         }

@@ -33,8 +33,8 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
                       float half_turns_per_sample,
                       int count, __constant int* radix, __global const float* turns,  // as in convolve.h
                       __global const float* lane_turns, __global const float* back_turns,
-                      __global const float* inner, int inner_stride,  // [units or 1][functions][groups][KEPT][2][WIDE], spectra
-                      __global const float* outer, int outer_stride,  // [units or 1][groups][KEPT][2][WIDE], of the sum
+                      __global const float* inner, int inner_stride,  // [units or 1][functions][groups][KEPT][WIDE][2], spectra
+                      __global const float* outer, int outer_stride,  // [units or 1][groups][KEPT][WIDE][2], of the sum
                       __global const float* weights,     // [stride], of samples, among zeros from WIDE before them
                       int heard, int apart,              // sample of the first weight, and later than that in imaginary parts
                       int length, int stride,            // weights, and floats of a row

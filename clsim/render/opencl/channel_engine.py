@@ -115,7 +115,7 @@ class TaperedEngine(OpenclEngine):
 
 
 _APART = 8  # neighbouring slots whose delays lie far apart, see scatter.cl
-_AT_ONCE = 32 * 2**20  # bytes of what is heard, or of factors, that are made at a time
+_AT_ONCE = 8 * 2**20  # bytes of what is heard, or of factors, that are made at a time
 _CACHED = 640 * 2**10  # bytes of grids of a thread: the second cache holds them
 _UNITS, _FUNCTIONS = (2, 1), (8, 4, 2, 1)  # that are taken at a time where their grids do not take more
 _MARGIN = 64  # samples beside the bounds of delays
