@@ -173,7 +173,9 @@ Constant = int | float | str | np.float32
 HEADER_READ = "-D_OPENCL_H_"  # by which the header of OpenCL C, 980 KiB of Clang's, knows that it was read
 
 # Kernels whose work-items do so much that a call is nothing to them; small ones would no longer run side by side.
-LONG_KERNELS = frozenset({"coarse_delays", "tracks", "pair_tracks", "intervals", "edge_intervals", "baseband", "scatter", "rays"})
+LONG_KERNELS = frozenset(
+    {"coarse_delays", "tracks", "pair_tracks", "intervals", "edge_intervals", "baseband", "scatter", "rays"}
+)
 # The same where every work-item is a group of its own; those of a group wait for each other, which functions cannot.
 LONG_ALONE = frozenset({"render"})
 ALONE = "-DWORKERS=1"

@@ -26,6 +26,8 @@ SPREAD_ERROR_DB = -101.0  # at most, of a frequency at that end of the band
 NODES = 11  # on either side of an instant from which its response is made
 OVERSAMPLING = 1.35  # node rate over the least that holds how responses change
 NODE_ERROR_DB = -90.0  # of the window over nodes, from its transition band; see `node_window`
+_BESIDE_PASSES, _SHARED = 6, 6  # passes that the rest of a transform takes as long as, and a first one in few lines
+_SAME_LINES = 64  # vectors, 4 KiB: what lies multiples of that apart shares lines of the first cache
 _PASSES = (12, 8, 5, 4, 3, 2)  # parts into which a pass of a transform divides, in this order
 
 
@@ -89,6 +91,19 @@ def passes_of(count: int) -> list[int]:
     return found
 
 
+def quick_count(least: int) -> int:
+    """Return the number of vectors, at least so many, whose transform takes the least time."""
+    from scipy.fft import next_fast_len
+
+    counts, count = list[int](), least
+    while (count := next_fast_len(count, real=True)) <= 1.2 * least or not counts:
+        counts.append(count)
+        count += 1
+    shared = [_SHARED * (n // passes_of(n)[0] % _SAME_LINES == 0) for n in counts]
+    of_all = [n * (_BESIDE_PASSES + len(passes_of(n)) + more) for n, more in zip(counts, shared, strict=True)]
+    return counts[int(np.argmin(of_all))]
+
+
 def digit_reversed(passes: Sequence[int]) -> NDArray[np.int64]:
     """Return the frequencies (count,) in the order in which passes leave them."""
     found = np.zeros(1, dtype=np.int64)
@@ -149,12 +164,10 @@ class ChannelGrid:
     @classmethod
     def between(cls, shortest: float, longest: float, ringing: int, spacing: int) -> ChannelGrid:
         """Return the grid for delays, samples, that ring so many samples to either side."""
-        from scipy.fft import next_fast_len
-
         first = math.floor(shortest) - ringing - TAPS
         span = math.ceil(longest) + ringing + TAPS - first
         least = span + (2 * NODES + 1) * spacing  # two nodes at a time
-        return cls(first, span, spacing, COARSER * next_fast_len(-(-least // COARSER), real=True))
+        return cls(first, span, spacing, COARSER * quick_count(-(-least // COARSER)))
 
     @property
     def points(self) -> int:
@@ -259,7 +272,7 @@ class ChannelFrames:
         return np.asarray(self._emitted[..., begin : begin + self.grid.size])
 
     def spectra(self, nodes: Sequence[int]) -> NDArray[Any]:
-        """Return the spectra (nodes, size), or (nodes, K, size) of streams, of what is emitted and received at nodes."""
+        """Return the spectra (nodes, size), or of streams (nodes, K, size), of what nodes receive without delay."""
         from scipy.fft import fft
 
         return np.asarray(fft(np.stack([self._frame(node) for node in nodes])))
@@ -267,10 +280,10 @@ class ChannelFrames:
     def factors(self, nodes: Sequence[int]) -> dict[str, Any]:
         """Return the factors of the spectra of functions, and of their sum, for units of ``scatter.cl``."""
         emitted = self.transform.packed(self.spectra(nodes))
-        factors = (self._shapes, emitted) if self.is_real else (emitted, self._shapes)
-        of_unit = emitted[0].size
-        strides = {"inner_stride": 0, "outer_stride": of_unit} if self.is_real else {"inner_stride": of_unit, "outer_stride": 0}
-        return dict(zip(("inner", "outer"), factors, strict=True)) | strides
+        (inner, of_inner), (outer, of_outer) = (self._shapes, 0), (emitted, emitted[0].size)
+        if not self.is_real:
+            (inner, of_inner), (outer, of_outer) = (outer, of_outer), (inner, of_inner)
+        return {"inner": inner, "inner_stride": of_inner, "outer": outer, "outer_stride": of_outer}
 
     def received(self, emitted: NDArray[Any], grids: NDArray[Any]) -> NDArray[Any]:
         """Return weighted samples (nodes, rows, n) of spectra and responses (nodes, rows, K, points)."""
@@ -298,7 +311,9 @@ def work_at_nodes(
     rate, parts = filters.rate, 1 + int(isinstance(filters, EnvelopeFilters))
     functions *= parts
     nodes = until * rate / spacing + 2 * NODES
-    points = ChannelFilters.of(filters).grid(0.0, longest, spacing).size * ((1.25 * functions + parts) * rows + parts)
+    points = ChannelFilters.of(filters).grid(0.0, longest, spacing).size * (
+        (FINER / COARSER * functions + parts) * rows + parts
+    )
     return nodes * paths, nodes * gains * functions, nodes * points, paths * (until * rate + 2 * NODES * spacing)
 
 

@@ -36,7 +36,7 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
                       __global const float* inner, int inner_stride,  // [units or 1][functions][groups][KEPT][WIDE][2], spectra
                       __global const float* outer, int outer_stride,  // [units or 1][groups][KEPT][WIDE][2], of the sum
                       __global const float* weights,     // [stride], of samples, among zeros from WIDE before them
-                      int heard, int apart,              // sample of the first weight, and later than that in imaginary parts
+                      int first_sample, int apart,              // sample of the first weight, and later than that in imaginary parts
                       int length, int stride,            // weights, and floats of a row
                       __global float* scratch, long of_worker,  // [workers]: grids, then sums of an item
                       __global float* received)          // [units][receivers][channels][2][stride], as `weights`
@@ -130,8 +130,8 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
                 __global const float* factors = outer + (first_unit + u) * (long)outer_stride;
                 transform_back(&of, sums + (u * channels + channel) * (long)spectrum, factors, grids);
                 __global float* out = received + (((first_unit + u) * (long)receivers + receiver) * channels + channel) * 2 * stride;
-                weigh(&of, grids, heard, length, weights, out);
-                weigh(&of, grids + points, heard + apart, length, weights, out + stride);
+                weigh(&of, grids, first_sample, length, weights, out);
+                weigh(&of, grids + points, first_sample + apart, length, weights, out + stride);
             }
         }
     }

@@ -115,7 +115,7 @@ class TaperedEngine(OpenclEngine):
 
 
 _APART = 8  # neighbouring slots whose delays lie far apart, see scatter.cl
-_AT_ONCE = 8 * 2**20  # bytes of what is heard, or of factors, that are made at a time
+_AT_ONCE = 8 * 2**20  # bytes of received samples, or of factors, that are made at a time
 _CACHED = 640 * 2**10  # bytes of grids of a thread: the second cache holds them
 _UNITS, _FUNCTIONS = (2, 1), (8, 4, 2, 1)  # that are taken at a time where their grids do not take more
 _MARGIN = 64  # samples beside the bounds of delays
@@ -182,7 +182,7 @@ class ChannelEngine(OpenclEngine):
 
 
 class _ChannelRun(Run):
-    """Makes the responses of one batch of receivers at the nodes of some segments, and adds what is heard by them."""
+    """Makes the responses of one batch of receivers at the nodes of some segments, and adds their sound."""
 
     _task: ChannelTask
     _engine: ChannelEngine
@@ -206,7 +206,7 @@ class _ChannelRun(Run):
         return np.where(error > self._tolerance, self._promising_levels(error, level), level)
 
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
-        begin, frames, rows = segment * self._plan.segment, self._task.frames, self._batch.row
+        begin, frames = segment * self._plan.segment, self._task.frames
         spacing, first, last = frames.grid.spacing, self._start + begin, self._start + end
         wanted = frames.active_nodes(range(-(-first // spacing), -(-last // spacing)))
         rows, plane = self._batch.row, 4 * len(frames.transform.lane_turns) * FINER
@@ -222,21 +222,23 @@ class _ChannelRun(Run):
             where = {
                 "node_block": np.where(some[1].ravel(), at // block + first_block, -1).astype(np.int32),
                 "node_place": (2.0 * (at % block) / block - 1.0).astype(np.float32), "nodes": len(at),
-                "node_sample": at.astype(np.float32), **self._tapers.arguments(first), **frames.factors(some[0].tolist()),
+                "node_sample": at.astype(np.float32), **self._tapers.arguments(first),
+                **frames.factors(some[0].tolist()),
             }  # fmt: skip
             for k in range(0, len(rows), beside):
-                self._heard(nodes, some, where, together, slice(k, min(k + beside, len(rows))))
+                self._received(nodes, some, where, together, slice(k, min(k + beside, len(rows))))
 
-    def _heard(
+    def _received(
         self, nodes: Any, units: tuple[NDArray[Any], NDArray[Any]], where: dict[str, Any], together: int,
         receivers: slice,
     ) -> None:  # fmt: skip
-        """Add what some receivers hear by their responses at the nodes of units, by their blocks and places there."""
+        """Add the sound of some receivers by their responses at the nodes of units, by their blocks and places there."""
         import pyopencl as cl
 
         engine, frames, rows = self._engine, self._task.frames, self._batch.row[receivers]
-        filters, grid, positions = self._plan.source_filters[self._source], frames.grid, len(frames.transform.lane_turns)
-        bank, of_function, nodes_in_unit = filters.bank, 8 * together * positions * FINER, 2 if frames.is_real else 1
+        filters, grid, nodes_in_unit = self._plan.source_filters[self._source], frames.grid, 2 if frames.is_real else 1
+        shift, positions = filters.bank.shift, len(frames.transform.lane_turns)
+        of_function = 8 * together * positions * FINER
         some = next((n for n in _FUNCTIONS if n < 2 * self._gains and n * of_function <= _CACHED), 1)
         of_worker = 2 * together * positions * (some * FINER + self._channels * COARSER)
         workers = min(2 * thread_count(), len(units[0]) // together * len(rows))
@@ -250,8 +252,8 @@ class _ChannelRun(Run):
             engine._queue, work(workers, group=1), delay=nodes.delay, polynomials=nodes.polynomials,
             slots=self._batch.count, functions=self._functions, channels=self._channels, **where,
             first_slot=self._batch.first_slot[receivers.start : receivers.stop + 1], receivers=len(rows),
-            window=engine.window, first=grid.first - math.floor(bank.shift), shift=bank.shift - math.floor(bank.shift),
-            **self._turns(filters), count=grid.size // COARSER, **engine.tables(frames), heard=grid.span,
+            window=engine.window, first=grid.first - math.floor(shift), shift=shift - math.floor(shift),
+            **self._turns(filters), count=grid.size // COARSER, **engine.tables(frames), first_sample=grid.span,
             apart=grid.spacing * (nodes_in_unit - 1), length=len(frames.window), stride=shape[-1],
             scratch=engine._scratch.take("grids", 4 * workers * of_worker), of_worker=of_worker, received=received,
         )  # fmt: skip
