@@ -129,7 +129,7 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
             for (int channel = 0; channel < channels; channel++) {
                 __global const float* factors = outer + (first_unit + u) * (long)outer_stride;
                 transform_back(&of, sums + (u * channels + channel) * (long)spectrum, factors, grids);
-                __global float* out = received + (((first_unit + u) * (long)receivers + receiver) * channels + channel) * 2 * stride;
+                __global float* out = received + (((first_unit + u) * (long)receivers + receiver) * channels + channel) * 2 * (long)stride;
                 weigh(&of, grids, first_sample, length, weights, out);
                 weigh(&of, grids + points, first_sample + apart, length, weights, out + stride);
             }

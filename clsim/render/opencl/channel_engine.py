@@ -232,7 +232,7 @@ class _ChannelRun(Run):
         self, nodes: Any, units: tuple[NDArray[Any], NDArray[Any]], where: dict[str, Any], together: int,
         receivers: slice,
     ) -> None:  # fmt: skip
-        """Add the sound of some receivers by their responses at the nodes of units, by their blocks and places there."""
+        """Add the sound of some receivers by their responses at the nodes of units, by blocks and places there."""
         import pyopencl as cl
 
         engine, frames, rows = self._engine, self._task.frames, self._batch.row[receivers]
