@@ -127,15 +127,26 @@ def program_of(kind: str, air: Air) -> str | None:
 class Fades(ByRow):
     """Shares of P paths that fade: those missing as paths begin and as they end, for want of paths that take over."""
 
-    share: Complexes  # (P, 2) of the response
-    span: Floats  # (P, 2) time from a beginning on, or to an end, in which they fade, s
+    found: Any  # `Fading` of all paths of the scene: it computes shares where they are first needed
+    family: int  # number of these paths' family there
+    row: Integers  # (P,) of that family
+
+    @property
+    def share(self) -> Complexes:
+        """Shares (P, 2) of the response, complex."""
+        return np.asarray(self.found.made[0][self.family][self.row])
+
+    @property
+    def span(self) -> Floats:
+        """Times (P, 2) from a beginning on, or to an end, in which paths fade, s."""
+        return np.asarray(self.found.made[1][self.family][self.row])
 
     def gain(self, start: Floats, end: Floats, times: Floats) -> Complexes:
         """Compute factors (P, T) of paths that begin and end at times (P,), at times (T,) or (P, 1), s."""
-        gain = np.ones((len(start), 1), dtype=np.complex128)
-        for side, since in enumerate((times - start[:, None], end[:, None] - times)):
-            x = np.clip(since / self.span[:, [side]], 0.0, 1.0)
-            gain = gain - self.share[:, [side]] * (1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2))
+        gain, share, span = np.ones((len(start), 1), dtype=np.complex128), self.share, self.span
+        for side, since in enumerate((times - start[:, None], end[:, None] - times)) if share.any() else ():
+            x = np.clip(since / span[:, [side]], 0.0, 1.0)
+            gain = gain - share[:, [side]] * (1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2))
         return gain
 
     @property
@@ -144,7 +155,7 @@ class Fades(ByRow):
         return np.asarray(np.maximum(np.abs(1.0 - self.share).max(axis=1), 1.0))
 
     def __len__(self) -> int:
-        return len(self.share)
+        return len(self.row)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +165,7 @@ class Chain(PathFamily):
     legs: tuple[Any, ...]  # one, or one before and one after the vertex
     vertex: Any = None  # None for paths that are only reflected
     level: Floats | None = None  # (paths,) pressure over that of the path's law; None for 1
-    fades: Fades | None = None  # None where no path fades
+    fades: Fades | None = None  # of paths over edges; None where none may fade
 
     @property
     def kind(self) -> str:
@@ -179,7 +190,7 @@ class Chain(PathFamily):
             yield from self.vertex.named(moving)
         if self.level is not None:
             yield "level", self.level
-        if self.fades is not None:
+        if self.fades is not None and self.fades.share.any():
             yield from (("fade_share", self.fades.share), ("fade_span", self.fades.span))
 
     @property
@@ -216,18 +227,11 @@ class Chain(PathFamily):
     @property
     def device(self) -> str | None:
         """Program that makes nodes of these paths on a device; None for the host."""
-        if self.level is not None or self.fades is not None or (self.vertex is not None and not self.vertex.on_device):
+        if self.level is not None or (self.vertex is not None and not self.vertex.on_device):
             return None
         if self.scene.panels and self.vertex is not None and self.vertex.interaction == DIFFRACTION:
             return None  # the program does not know sheets that let sound pass
         return program_of(self.kind, self.scene.air)
-
-    def by_program(self) -> tuple[Self, ...]:
-        """Divide the paths into those whose nodes a device may make and those that fade, whose nodes the host makes."""
-        if self.fades is None or replace(self, fades=None).device is None:
-            return (self,)
-        fading = np.any(self.fades.share != 0.0, axis=1)
-        return replace(self.part(np.flatnonzero(~fading)), fades=None), self.part(np.flatnonzero(fading))
 
     @property
     def object_names(self) -> tuple[str, ...]:
@@ -341,6 +345,14 @@ class Chain(PathFamily):
         if self.fades is not None:
             bound = bound * self.fades.part(rows).largest[:, None]
         return bound if self.level is None else bound * self.level[rows][:, None]
+
+    def fading(self, rows: Rows) -> Iterator[tuple[str, Any]]:
+        """Yield names and columns of the fades of some paths over one edge, as `edge_view` of kernels/nodes/path.h."""
+        if self.fades is not None:
+            share, span = (x[rows] for x in (self.fades.share, self.fades.span))
+            yield "active", np.nan_to_num(np.stack([self.start[rows], self.end[rows]], axis=1))
+            yield "span", np.where(share.any(axis=1, keepdims=True), span, 0.0)
+            yield "share", np.stack([share.real, share.imag], axis=1)
 
     def links(self, rows: Rows) -> Links:
         """Take the legs and vertices of some paths."""

@@ -129,10 +129,6 @@ class PathFamily(ABC):
         """Program that knows this kind's columns (see ``render/opencl/path_columns.py``), or None."""
         return None
 
-    def by_program(self) -> tuple[Self, ...]:
-        """Divide the paths by the programs that make their nodes."""
-        return (self,)
-
     @property
     def is_complex(self) -> bool:
         """Whether responses have phases."""

@@ -28,7 +28,7 @@ from clsim.paths.search.edge_gaps import gap_edge_paths
 from clsim.paths.search.edge_scatterers import as_met, edge_scatterer_paths
 from clsim.paths.search.edge_thirds import third_edge_paths
 from clsim.paths.search.edges import EdgePaths
-from clsim.paths.search.fades import with_fades
+from clsim.paths.search.fades import Fading
 from clsim.paths.search.mesh import mesh_paths, report, resolution_of
 from clsim.paths.search.same_events import at_one_time
 from clsim.paths.search.scatterers import Side, scattered_paths, sides
@@ -110,7 +110,7 @@ class _Search:
             found = (*found, bodies.paths(next(parts).notify))
             for of_bodies in OVER_BODIES[:edges]:
                 found = (*found, of_bodies(bodies, found))
-        return with_fades(scene, found, options.direct is True) if edges and options.edge_fades else found
+        return Fading(found, options.direct is True).families if edges and options.edge_fades else found
 
     def scattered(self) -> list[PathFamily]:
         """Find the paths by scatterers: by walls alone, and with faces of bodies where there are any."""

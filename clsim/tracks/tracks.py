@@ -429,8 +429,8 @@ def track(
     """
     if not isinstance(paths, PathSet):
         raise InputError("paths", f"must be a PathSet, but is {paths!r:.80}")
-    kinematics, families = Kinematics(motion, amplitude), [part for f in paths.families for part in f.by_program()]
-    scene, paths = paths.scene, paths if len(families) == len(paths.families) else PathSet(paths.scene, tuple(families))
+    kinematics = Kinematics(motion, amplitude)
+    scene = paths.scene
     pairs, pair_paths = [], []
     for _, of_pair in paths.pairs():
         receiver, family = scene.receivers[of_pair.receiver], of_pair.family

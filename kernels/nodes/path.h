@@ -23,11 +23,13 @@ typedef struct {
     double wide[2], narrow[2];                   // sine and cosine of n half turns, and of a quarter turn over n
     double even[2], odd[2];                      // the same of n half turns for every two reflections of a term's partner
     double end;                                  // m along the edge, where `end_side` is not 0
+    double active[2], span[2];                   // reception of the path, and of its fades from and to there, s: 0 without fades
     int lit[4];                                  // of its terms: 1 or -1, 0 for those that are left out
     int end_side;                                // of the end that the path runs over; 0 for one over the edge itself
     int face[2];                                 // tables of the 0-face and the n-face; -1 for the same at every angle
     int bounces[2];                              // reflections of partners: of the first two terms, and of the others
     float corner;                                // angle at which the path comes to the corner itself, see `end_transition`
+    float share[2][2];                           // real and imaginary parts of what fades at either time
 } edge_view;
 
 typedef struct {

@@ -1,7 +1,10 @@
 """Nodes of paths over one edge: the device's against those of the kind of paths itself, in float64 on the host."""
 
 import warnings
+from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from made_responses import POROUS, OffCentre
 from mutants import KeptEngines, Mutants
 
 import clsim
+from clsim.paths.chain import Fades
 from clsim.paths.path_set import PathSet
 from clsim.render.opencl import path_columns
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, Layout, OpenclEngine
@@ -32,7 +36,7 @@ SOFT = clsim.Material.from_reflection(-0.8)
 def paths() -> PathSet:
     """Return paths round a screen over a porous floor, and round its ends, while both ends move fast; one edge is between two walls.
 
-    The receiver passes boundaries of shadow and of reflection by the screen.
+    The receiver passes boundaries of shadow and of reflection by the screen. All that begins or ends fades, by any share.
     """
     corners = [(-3, -3, 0), (3, -3, 0), (3, 3, 0), (-3, 3, 0), (0, -1, 0.3), (0, 1, 0.3), (0, 1, 1.2), (0, -1, 1.2)]
     corners += [(0.4, 1.3, 0.3), (0.4, 1.3, 1.2)]
@@ -47,7 +51,12 @@ def paths() -> PathSet:
                         electronics=clsim.Electronics(clock_ppm=300.0, clock_offset=2e-3))
          for i, ear in enumerate(ears)],
     )  # fmt: skip
-    return PathSet(scene, (clsim.find_paths(scene, 1, diffraction=1).families[1],))
+    found: Any = clsim.find_paths(scene, 1, diffraction=1).families[1]
+    random, bounds = np.random.default_rng(5), np.stack([found.start, found.end], axis=1)
+    share = np.exp(1j * random.uniform(-0.7, 0.7, bounds.shape)) * random.uniform(0.0, 1.0, bounds.shape)
+    span = np.clip(0.5 * np.diff(bounds), 1e-3, random.uniform(1e-3, 0.02, bounds.shape))
+    fades = Fades(SimpleNamespace(made=([np.where(np.isfinite(bounds), share, 0.0)], [span])), 0, np.arange(len(found)))
+    return PathSet(scene, (replace(found, fades=fades),))
 
 
 @cache
@@ -91,6 +100,8 @@ def test_the_scene_has_all_that_such_paths_do() -> None:
     assert np.any(before >= 0)
     assert np.any(after >= 0)
     assert np.any(found.start > 0.0)  # pieces between boundaries
+    within = np.abs(found.start - 0.5 * SAMPLES / RATE) < 0.4 * SAMPLES / RATE
+    assert np.count_nonzero(found.fades.share[within, 0]) > 5
 
 
 @pytest.mark.parametrize("layout", few([CPU_LAYOUT, GPU_LAYOUT]))
@@ -140,6 +151,10 @@ MUTANTS = {
     "the receiver's speed": ("leaving * heading.z + outward", "leaving * heading.z - outward"),
     "direction at the receiver": ("times(-1.0, into_room(edge->receiver_turn", "times(1.0, into_room(edge->receiver_turn"),
     "direction at the source": ("into_room(edge->source_turn, towards_edge(from, place))", "towards_edge(from, place)"),
+    "fades of the other time": ("gain[part] -= edge->share[part][side]", "gain[part] -= edge->share[part][1 - side]"),
+    "fades without phases": ("factor.part[part][b] = gain[part]", "factor.part[part][b] = part ? 0.0f : gain[part]"),
+    "fades by the receiver's clock": ("* s->block_time + late", "* s->block_time"),
+    "the form of fades": ("x * (15.0f - 6.0f * x)", "x * (15.0f - 5.0f * x)"),
     "walls of the other side": ("wall < 0 ? a->arrival : a->departure", "a->departure"),
 }  # fmt: skip
 

@@ -1,5 +1,6 @@
 """Fades of paths over edges that nothing takes over from: jumps of the sum, the gain itself, and what is rendered."""
 
+import pickle
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -82,7 +83,7 @@ def test_a_path_fades_within_its_time() -> None:
     (paths, plain), halfway = (walk("table", edge_fades=fades) for fades in (True, False)), 0
     for family, other in zip(paths.families, plain.families, strict=True):
         fades = getattr(family, "fades", None)
-        alone = np.flatnonzero(np.abs(fades.share[:, 1] - 1.0) < 1e-5) if fades is not None else []
+        alone = np.flatnonzero(np.abs(fades.share[:, 1] - 1.0) < 1e-5) if fades is not None else ()
         for row in alone:
             end, span = family.end[row], fades.span[row, 1]
             one, whole = (
@@ -94,10 +95,21 @@ def test_a_path_fades_within_its_time() -> None:
     assert halfway > 5
 
 
+def test_fades_are_found_when_needed() -> None:
+    """A copy, as worker processes get it, has the shares alone, and all have one digest."""
+    paths = walk.__wrapped__("box", diffraction=1)
+    found = paths.families[-1].fades.found
+    assert "made" not in vars(found)
+    copy = pickle.loads(pickle.dumps(paths))
+    assert set(vars(copy.families[-1].fades.found)) == {"made"}
+    assert copy.digest() == paths.digest() == walk("box", diffraction=1).digest()
+    assert paths.digest() != walk("box", diffraction=1, edge_fades=False).digest()
+
+
 def test_what_is_rendered_fades(engine: str, measured: Callable[..., float]) -> None:
     """A tone past the loudest event, but for the transitions of paths that begin and end."""
     paths = walk("box", part=(0.37, 0.49), diffraction=1)
-    assert any(family.fades is not None for family in paths.families)
+    assert paths.families[-1].fades.share.any()
     heard = clsim.render(paths, RATE, duration=0.12, engine=engine).pressure[0]
     times = np.arange(round(0.02 * RATE), round(0.115 * RATE)) / RATE
     apart = np.abs(times[:, None] - around_events(paths)).min(axis=1)

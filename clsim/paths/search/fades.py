@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,6 @@ from clsim.paths.family import PathFamily
 from clsim.paths.response import SceneResponse
 from clsim.paths.search.same_events import SAME_DELAY, Events
 from clsim.paths.vertices.edge import EdgeVertex
-from clsim.scene.scene import Scene
 
 _LEAST = 2e-4  # jump of the pressure that is left, over that of the strongest path
 _NEAR = 3e-5  # s between beginnings and ends of one event
@@ -31,27 +31,42 @@ _ONE_BY_ONE = 8  # paths that are evaluated together, each at a time of its own
 _DAMPING = 1e-6  # of the squares of members
 
 
-def with_fades(scene: Scene, found: tuple[PathFamily, ...], direct: bool) -> tuple[PathFamily, ...]:
-    """Let paths over edges fade where the sum of all would jump; direct: whether direct sound is among all."""
-    chains = [family for family in found if isinstance(family, Chain)]
-    if not any(isinstance(chain.vertex, EdgeVertex) for chain in chains):
-        return found
-    events = Events.of(chains, scene)
-    shares = [np.zeros((len(chain), 2), dtype=np.complex128) for chain in chains]
-    spans = [np.ones((len(chain), 2)) for chain in chains]
-    for pair in np.unique(events.pair).tolist():
-        of_pair = _PairEvents.of(events, pair, direct)
-        for group in of_pair.groups():
-            for member, *given in zip(*of_pair.missing(group), strict=True):
-                place = events.row[member], events.side[member]
-                shares[events.family[member]][place], spans[events.family[member]][place] = given
-    made = {id(c): _with(c, share, span) for c, share, span in zip(chains, shares, spans, strict=True)}
-    return tuple(made.get(id(family), family) for family in found)
+@dataclass(frozen=True, eq=False)
+class Fading:
+    """All paths of a scene, and which shares of those over edges fade where the sum of all would jump."""
 
+    found: tuple[PathFamily, ...]
+    direct: bool  # whether direct sound is among all
 
-def _with(chain: Chain, share: Complexes, span: Floats) -> Chain:
-    """Return paths that fade."""
-    return replace(chain, fades=Fades(read_only(share), read_only(span))) if share.any() else chain
+    @property
+    def families(self) -> tuple[PathFamily, ...]:
+        """All paths; those over edges fade."""
+        return tuple(
+            replace(family, fades=Fades(self, number, read_only(np.arange(len(family)))))
+            if isinstance(family, Chain) and isinstance(family.vertex, EdgeVertex)
+            else family
+            for number, family in enumerate(self.found)
+        )
+
+    @cached_property
+    def made(self) -> tuple[list[Complexes], list[Floats]]:
+        """Shares (P, 2) of paths of each family, as they begin and as they end, and times (P, 2) of fades, s."""
+        known = [number for number, family in enumerate(self.found) if isinstance(family, Chain)]
+        chains: Any = [self.found[number] for number in known]
+        events = Events.of(chains, chains[0].scene)
+        shares = [np.zeros((len(family), 2), dtype=np.complex128) for family in self.found]
+        spans = [np.ones((len(family), 2)) for family in self.found]
+        for pair in np.unique(events.pair).tolist():
+            of_pair = _PairEvents.of(events, pair, self.direct)
+            for group in of_pair.groups():
+                for member, *given in zip(*of_pair.missing(group), strict=True):
+                    number, place = known[events.family[member]], (events.row[member], events.side[member])
+                    shares[number][place], spans[number][place] = given
+        return shares, spans
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Keep shares alone in copies: worker processes need no other paths."""
+        return {"made": self.made}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

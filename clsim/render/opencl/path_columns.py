@@ -65,8 +65,8 @@ _PARTS = (("turn", 9), ("shift", 3))
 _TWO_SIDES = [(f"{end}_{part}", "f8", count) for end in ("source", "receiver") for part, count in _PARTS]
 EDGE_VIEW = np.dtype(
     [*_TWO_SIDES, ("n", "f8"), ("low", "f8", 2), ("wide", "f8", 2), ("narrow", "f8", 2), ("even", "f8", 2),
-     ("odd", "f8", 2), ("end", "f8"), ("lit", "i4", 4), ("end_side", "i4"), ("face", "i4", 2), ("bounces", "i4", 2),
-     ("corner", "f4")]
+     ("odd", "f8", 2), ("end", "f8"), ("active", "f8", 2), ("span", "f8", 2), ("lit", "i4", 4), ("end_side", "i4"),
+     ("face", "i4", 2), ("bounces", "i4", 2), ("corner", "f4"), ("share", "f4", (2, 2))]
 )  # fmt: skip
 SCATTERER_VIEW = np.dtype(
     [*_TWO_SIDES, ("semi_axes", "f8", 3), ("strength", "f8"), ("thing", "i4"), ("turned", "i4"), ("shape", "i4"),
@@ -209,6 +209,8 @@ class EdgeColumns(VertexColumns):
             edges[name] = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         edges["low"] = np.stack([least_angle(vertex.n, beside) for beside in vertex.beside.T], axis=1)
         edges["end"] = np.nan_to_num(vertex.end_place)
+        for name, column in self._family.fading(self._family.source == source):
+            edges[name] = column
         env = self._of.environments[source]
         edges["face"] = env.tables_of(vertex.faces)
         factors = env.reflection(vertex.faces.reshape(-1, 1)).astype(np.float32)
