@@ -4,6 +4,8 @@
 // before they are spread: among so many places that are written, polynomials would come from memory line by line.
 // Neighbouring slots have delays that lie far apart, so that what one path adds does not wait for what the last one wrote.
 // Responses of envelopes (DELAY_TERMS == 8) are turned by the carrier: of each function, a grid of real parts and one of imaginary ones.
+// Where a receiver has COMPONENTS, each path is added to those of its direction, by its weight for each: they stand side by side
+// at a point. Functions that add little have few of them.
 
 #define TILE (FUNCTIONS > 32 ? 64 : 256)  // paths that are evaluated at a time: their results stay in cache
 #define ENVELOPE (DELAY_TERMS == 8)
@@ -20,22 +22,33 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
                       __global const int* first_slot,    // [receivers + 1], multiples of BESIDE
                       int receivers,
                       __global const float* window,      // [PHASES + 3][2][TAPS]: values from one phase before the first
+                      __global const float* weights,     // [nodes][slots of the receiver][room]: of COMPONENTS
+                      int room,                          // components, whole vectors
+                      __global const int* vectors,       // [functions], of components
                       int first,                         // samples of delay at the grid's beginning
                       float shift,                       // samples that are added to all delays
                       int points,                        // of a grid
                       int reached,                       // of these, now or before: the others are 0
                       ulong turn_per_sample,             // of the carrier; one turn is 2^64
                       float half_turns_per_sample,
-                      __global float* grids)             // [nodes][receivers][functions][1 + ENVELOPE][points]
+                      __global float* grids)             // [nodes][receivers][functions][1 + ENVELOPE][points]([components])
 {
     const int receiver = get_global_id(1), first_node = get_global_id(0) * TOGETHER, power = functions * BESIDE;
     const int last_node = first_node + TOGETHER < nodes ? first_node + TOGETHER : nodes;
+#if COMPONENTS
+    int each = 0;
+    for (int k = 0; k < functions; k++) each += LANES * vectors[k];
+#else
     const int each = functions * (1 + ENVELOPE);
+#endif
     const long of_node = (long)receivers * each * points;
     __global float* made = grids + receiver * (long)each * points;
     for (int node = first_node; node < last_node; node++) {
-        for (int k = 0; k < each; k++) {
-            for (int i = 0; i < reached; i++) made[node * of_node + k * (long)points + i] = 0.0f;
+        __global float* out = made + node * of_node;
+        for (int k = 0; k < functions * (1 + ENVELOPE); k++) {
+            const int beside = COMPONENTS ? LANES * vectors[k] : 1;
+            for (long i = 0; i < (long)reached * beside; i++) out[i] = 0.0f;
+            out += (long)points * beside;
         }
     }
     int at[TILE], phase[TILE];
@@ -90,10 +103,26 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
 #endif
                 __global const float* w = window + phase[i] * (2 * TAPS);
                 const vec spread = LOAD(w) + LOAD(w + TAPS) * between[i];
-                __global float* out = made + node * of_node + at[i];
+                __global float* out = made + node * of_node;
+#if COMPONENTS
+                float share[TAPS];
+                *(loose_vec*)share = spread;
+                __global const float* own = weights + (node * (long)(first_slot[receiver + 1] - first_slot[receiver]) + from - first_slot[receiver] + i) * room;
+                for (int k = 0; k < functions; k++) {
+                    const int beside = LANES * vectors[k];
+                    __global float* here = out + (long)at[i] * beside;
+                    for (int j = 0; j < TAPS; j++, here += beside) {
+                        const float times = share[j] * gain[k][i];
+                        for (int m = 0; m < beside; m += LANES) *(__global loose_vec*)(here + m) = LOAD(here + m) + LOAD(own + m) * times;
+                    }
+                    out += (long)points * beside;
+                }
+#else
+                out += at[i];
                 for (int k = 0; k < each; k++, out += points) {
                     *(__global loose_vec*)out = LOAD(out) + spread * gain[k][i];
                 }
+#endif
             }
         }
     }

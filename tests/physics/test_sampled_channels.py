@@ -142,8 +142,11 @@ MUTANTS = {
     "one function for all": ("(DELAY_TERMS + k) * BESIDE;", "DELAY_TERMS * BESIDE;"),
     "the last eight paths left out": ("i < count; i++", "i < count - BESIDE; i++"),
     "the wrong block": ("row = node_block[node];", "row = node_block[0];"),
-    "the first node for all": ("made + node * of_node + at[i]", "made + first_node * of_node + at[i]"),
-    "what was there before": ("i < reached; i++", "i < reached / 2; i++"),
+    "the first node for all": (
+        "made + node * of_node;\n#if",
+        "made + first_node * of_node;\n#if",
+    ),
+    "what was there before": ("(long)reached * beside", "(long)reached / 2 * beside"),
 }
 OF_ENVELOPES = {
     "delays without their high powers": ("rest += t * t * t * t *", "rest += 0.0f *"),
@@ -151,10 +154,7 @@ OF_ENVELOPES = {
     "a carrier that turns within a sample only": ("whole_turn(whole[j], turn_per_sample)", "0.0f"),
     "a carrier that turns the other way": ("-own * sine", "own * sine"),
     "imaginary parts left out": ("k < each; k++, out", "k < each - 1; k++, out"),
-    "what was there before of imaginary parts": (
-        "k < each; k++) {\n            for",
-        "k < functions; k++) {\n            for",
-    ),
+    "what was there before of imaginary parts": ("k < functions * (1 + ENVELOPE); k++", "k < functions; k++"),
 }
 
 

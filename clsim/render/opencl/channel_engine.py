@@ -54,7 +54,7 @@ class BatchTapers:
         return {"rise": rise, "fall": fall, "terms": TERMS, "per_half": self._per_half}
 
 
-class _TaperedRun(Run):
+class TaperedRun(Run):
     """Multiplies gains by what tapers leave before they are summed."""
 
     _trims: ClassVar[bool] = True
@@ -97,7 +97,7 @@ class _TaperedRun(Run):
 class TaperedEngine(OpenclEngine):
     """Renders what tapers leave of the paths of a plan."""
 
-    run = _TaperedRun
+    run = TaperedRun
 
     def __init__(self, plan: Plan) -> None:
         super().__init__(plan)
@@ -159,10 +159,10 @@ class ChannelEngine(OpenclEngine):
             received = [part for pair in here for part in pair.parts(most_paths)]
             for batch in in_batches(plan, received, self.kind, budget, block, apart=_APART):
                 task = ChannelTask(source, batch, branches, None, length, start, first, last, frames)
-                _ChannelRun(self, task).render()
+                self.run(self, task).render()
 
 
-class _ChannelRun(Run):
+class ChannelRun(Run):
     """Makes the responses of one batch of receivers at the nodes of some segments, and adds what is heard by them."""
 
     _task: ChannelTask
@@ -195,9 +195,7 @@ class _ChannelRun(Run):
         begin, frames, rows = segment * self._plan.segment, self._task.frames, self._batch.row
         spacing, first, last = frames.grid.spacing, self._start + begin, self._start + end
         wanted = frames.active_nodes(range(-(-first // spacing), -(-last // spacing)))
-        unit, of_receiver = _TOGETHER * thread_count(), 4 * self._parts * self._gains * frames.grid.points
-        beside = min(max(1, _AT_ONCE // (unit * of_receiver)), len(rows))
-        step = unit * max(1, _AT_ONCE // (unit * beside * of_receiver))
+        beside, step = self._at_a_time(4 * frames.grid.points)
         for some in (wanted[i : i + step] for i in range(0, len(wanted), step)):
             at = np.array(some) * spacing - first
             place = 2.0 * (at % block) / block - 1.0
@@ -209,6 +207,12 @@ class _ChannelRun(Run):
             for i in range(0, len(rows), beside):
                 self._scattered(nodes, some, where, spectra, slice(i, min(i + beside, len(rows))))
 
+    def _at_a_time(self, of_grid: int) -> tuple[int, int]:
+        """Return the number of receivers and nodes of which responses are made at a time, by the bytes of a grid."""
+        unit, of_receiver = _TOGETHER * thread_count(), self._parts * self._gains * of_grid
+        beside = min(max(1, _AT_ONCE // (unit * of_receiver)), len(self._batch.row))
+        return beside, unit * max(1, _AT_ONCE // (unit * beside * of_receiver))
+
     def _scattered(
         self, nodes: Any, some: list[int], where: dict[str, Any], spectra: NDArray[Any], receivers: slice
     ) -> None:
@@ -219,20 +223,7 @@ class _ChannelRun(Run):
         shape = len(some), len(rows), self._parts * self._gains, frames.grid.points
         grids = engine._scratch.take(("grids", shape[1:]), 4 * math.prod(shape), zeros=True)
         reached = engine.reached[shape[1:]] = max(frames.grid.reached, engine.reached.get(shape[1:], 0))
-        filters = self._plan.source_filters[self._source]
-        bank, room = filters.bank, 1 if shape[2] == 1 else -(-shape[2] // 8) * 8
-        constants = {
-            "LANES": 8, "FUNCTIONS": room, "PHASES": PHASES, "TAPS": TAPS, "TOGETHER": _TOGETHER,
-            "TAPERED": int(self._tapers.there), **CONSTANTS, **self._polynomial_constants(nodes),
-        }  # fmt: skip
-        engine._compiler.kernel("scatter", constants)(
-            engine._queue, work(-(-len(some) // _TOGETHER), len(rows), group=1), delay=nodes.delay,
-            polynomials=nodes.polynomials, slots=self._batch.count, functions=self._gains, nodes=len(some), **where,
-            first_slot=self._batch.first_slot[receivers.start : receivers.stop + 1], receivers=len(rows),
-            window=engine.window, first=frames.grid.first - math.floor(bank.shift),
-            shift=bank.shift - math.floor(bank.shift), points=shape[3], reached=reached, grids=grids,
-            **self._turns(filters),
-        )  # fmt: skip
+        self._scatter(nodes, len(some), where, receivers, reached, grids)
         mapped: Any = cl.enqueue_map_buffer(engine._queue, grids, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
         # Of each function the channels of a receiver come side by side.
         made = mapped.reshape(len(some), len(rows), self._functions, self._channels, self._parts, shape[3])
@@ -245,3 +236,27 @@ class _ChannelRun(Run):
         for part, samples in zip(parts, received, strict=True):
             for i, of_node in zip(part, samples, strict=True):
                 frames.add(some[i], rows, of_node)
+
+    def _scatter(
+        self, nodes: Any, count: int, where: dict[str, Any], receivers: slice, reached: int, grids: Any,
+        components: dict[str, Any] | None = None,
+    ) -> None:  # fmt: skip
+        """Spread paths of some receivers over grids of some nodes, or over those of a receiver's components."""
+        engine, filters, grid = self._engine, self._plan.source_filters[self._source], self._task.frames.grid
+        bank, each, together = filters.bank, self._parts * self._gains, 1 if components else _TOGETHER
+        constants = {
+            "LANES": 8, "FUNCTIONS": 1 if each == 1 else -(-each // 8) * 8, "PHASES": PHASES, "TAPS": TAPS,
+            "TOGETHER": together, "TAPERED": int(self._tapers.there), "COMPONENTS": int(components is not None),
+            **CONSTANTS, **self._polynomial_constants(nodes),
+        }  # fmt: skip
+        engine._compiler.kernel("scatter", constants)(
+            engine._queue, work(-(-count // together), receivers.stop - receivers.start, group=1), delay=nodes.delay,
+            polynomials=nodes.polynomials, slots=self._batch.count, functions=self._gains, nodes=count, **where,
+            first_slot=self._batch.first_slot[receivers.start : receivers.stop + 1],
+            receivers=receivers.stop - receivers.start, window=engine.window, first=grid.first - math.floor(bank.shift),
+            shift=bank.shift - math.floor(bank.shift), points=grid.points, reached=reached, grids=grids,
+            **(components or {"weights": None, "room": 0, "vectors": None}), **self._turns(filters),
+        )  # fmt: skip
+
+
+ChannelEngine.run = ChannelRun
