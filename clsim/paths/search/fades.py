@@ -23,7 +23,7 @@ from clsim.paths.vertices.edge import EdgeVertex
 
 _LEAST = 2e-4  # jump of the pressure that is left, over that of the strongest path
 _NEAR = 3e-5  # s between beginnings and ends of one event
-_BESIDE = 3e-6  # s from these, where paths are evaluated: bodies' are up to 0.2 µs late
+_BESIDE = 5e-7  # s from these, where paths are evaluated: bodies' are up to 0.2 µs late
 _SHORTEST, _LONGEST = 1e-3, 0.25  # s, of fades
 _FREQUENCIES = np.array([0.8, 1.0, 1.25])  # of the centre frequency
 _INSTANTS = 33  # at which the strongest path without edges is looked for
