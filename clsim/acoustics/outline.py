@@ -73,8 +73,11 @@ class Outline(Protocol):
         """Points of the outline as seen along the lines between endpoints (n, 3), `count` for each line."""
         ...
 
-    def clearance(self, source: Floats, receiver: Floats) -> Floats:
-        """Distances (n,) by which lines of sight (n, 3) pass it, about, m; negative where they meet it."""
+    def clearance(self, source: Floats, receiver: Floats) -> tuple[Floats, Floats]:
+        """Distances (n,) by which lines of sight (n, 3) pass it, about, m, and at which shares of their lengths.
+
+        Distances are negative where they meet it.
+        """
         ...
 
 
@@ -115,13 +118,14 @@ class EllipsoidOutline:
         """Cosine and sine of the eccentric angle, and the share of a turn, of points (6, count)."""
         return _turns_of_ellipse(count)
 
-    def clearance(self, source: Floats, receiver: Floats) -> Floats:
+    def clearance(self, source: Floats, receiver: Floats) -> tuple[Floats, Floats]:
         """Distances (n,) of lines of sight: that of the unit sphere in affine coordinates, scaled back there."""
         begin, along = source / self.semi_axes, (receiver - source) / self.semi_axes
         share = np.clip(-np.sum(begin * along, axis=1) / np.maximum(np.sum(along**2, axis=1), LEAST), 0.0, 1.0)
         nearest = begin + share[:, None] * along
         out = np.maximum(np.linalg.norm(nearest, axis=1), LEAST)
-        return np.asarray((1.0 - 1.0 / np.maximum(out, 0.5)) * np.linalg.norm(nearest * self.semi_axes, axis=1))
+        distance = (1.0 - 1.0 / np.maximum(out, 0.5)) * np.linalg.norm(nearest * self.semi_axes, axis=1)
+        return np.asarray(distance), np.asarray(share)
 
     def points(self, source: Floats, receiver: Floats, count: int) -> OutlinePoints:
         """Points at equal eccentric angles of the ellipse that is the body's projection along the line of sight.
@@ -184,7 +188,7 @@ class CapsuleOutline:
         """
         return _pieces_of_capsule(count)
 
-    def clearance(self, source: Floats, receiver: Floats) -> Floats:
+    def clearance(self, source: Floats, receiver: Floats) -> tuple[Floats, Floats]:
         """Distances (n,) of lines of sight from the side's middle line, less the radius."""
         along = receiver - source
         level, slope, length = np.sum(along**2, axis=1), along[:, 2], np.sum(source * along, axis=1)
@@ -194,7 +198,7 @@ class CapsuleOutline:
         height = np.clip(source[:, 2] + share * slope, -self.half, self.half)
         apart = source + share[:, None] * along
         apart[:, 2] -= height
-        return np.asarray(np.linalg.norm(apart, axis=1) - self.radius)
+        return np.asarray(np.linalg.norm(apart, axis=1) - self.radius), np.asarray(share)
 
     def points(self, source: Floats, receiver: Floats, count: int) -> OutlinePoints:
         """Points on both half circles and both sides.

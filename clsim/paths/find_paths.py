@@ -32,6 +32,7 @@ from clsim.paths.search.mesh import mesh_paths, report, resolution_of
 from clsim.paths.search.same_events import at_one_time
 from clsim.paths.search.scatterers import Side, scattered_paths, sides
 from clsim.paths.vertices.scatterer_pair import scatterer_pair_paths
+from clsim.paths.vertices.shade import shaded_paths
 from clsim.paths.without_edges import warn_without_edges, warn_without_shadows
 from clsim.plugins import PATH_FAMILIES, ROOMS, with_plugins
 from clsim.scene.placement import together
@@ -74,7 +75,8 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
     63
     """
     levels, search = direct_levels(scene, options.direct), _Search(scene, options)
-    found = (*search.unscattered(), *search.scattered())
+    unscattered = search.unscattered()
+    found = (*unscattered, *search.scattered(unscattered))
     paths = PathSet(scene, found if np.all(levels == 1.0) else with_direct(found, levels))
     if scene.scatterers:
         warn_without_shadows(paths, options.scattering_order)
@@ -111,8 +113,8 @@ class _Search:
                 found = (*found, of_bodies(bodies, found))
         return found
 
-    def scattered(self) -> list[PathFamily]:
-        """Find the paths by scatterers: by walls alone, and with faces of bodies where there are any."""
+    def scattered(self, unscattered: tuple[PathFamily, ...]) -> list[PathFamily]:
+        """Find the paths by scatterers, by walls alone and with faces of bodies, and shadows on paths by walls."""
         scene, search = self.scene, self.options
         if not scene.scatterers:
             return []
@@ -147,6 +149,8 @@ class _Search:
             found += over
         elif search.diffraction and cut_off:
             warn("scatterers go behind edges, where their echoes end at once (edge_scattering=True lets them fade)")
+        if any(scatterer.shape.outlined for scatterer in scene.scatterers):
+            found += [shaded_paths(scene, cast("Any", each), order) for each in unscattered if each.is_specular]
         return found
 
 
