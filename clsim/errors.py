@@ -75,6 +75,16 @@ def inside(parent: str) -> Iterator[None]:
 
 
 @contextmanager
+def of_file(path: object) -> Iterator[None]:
+    """Name a file in an InputError of the block whose field is in it, unless another one is named."""
+    try:
+        yield
+    except InputError as error:
+        error.file = error.file or ("" if error.field == str(path) else str(path))
+        raise
+
+
+@contextmanager
 def with_field(field: str) -> Iterator[None]:
     """Raise an InputError of the block with another field."""
     try:

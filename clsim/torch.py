@@ -127,19 +127,15 @@ class Members(_Base):
 
 
 def _tensor(value: Any) -> Any:
-    """Return nested lists of numbers as a tensor; all else stays."""
+    """Return nested lists of numbers as a tensor; texts stay, of digits too."""
     import torch
 
-    try:
-        return torch.from_numpy(np.array(value, dtype=bool if _is_flag(value) else np.float64))
-    except (TypeError, ValueError):
+    first = value
+    while isinstance(first, list) and first:
+        first = first[0]
+    if isinstance(first, str | dict):
         return value
-
-
-def _is_flag(value: Any) -> bool:
-    while isinstance(value, list) and value:
-        value = value[0]
-    return isinstance(value, bool)
+    return torch.from_numpy(np.array(value, dtype=bool if isinstance(first, bool) else np.float64))
 
 
 def render(make_paths: MakePaths, tensors: Mapping[str, Any], sampling_rate: float, **options: Any) -> Any:

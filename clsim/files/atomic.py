@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import platform
@@ -77,6 +78,7 @@ def _number(path: Path) -> tuple[int, int]:
 
 
 _NEXT_TO_NOTHING = 2**16  # bytes; a disk with less is full
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FLUSHES = 16  # that wait at the same time
 _TEMPORARY = re.compile(r"\.clsim-([0-9a-f]{8})-(\d{1,9})-[0-9a-f]{8}\.partial(\..*)?")
 
@@ -142,6 +144,22 @@ def uninterrupted(work: Callable[..., Any], *arguments: Any, **more: Any) -> Any
     # Interrupted itself, a library that writes by threads returns while these go on, into folders that are deleted.
     with ThreadPoolExecutor(1) as thread:
         return thread.submit(work, *arguments, **more).result()
+
+
+def is_disk_full(error: BaseException) -> bool:
+    """Return True for an error that all that is written there would meet, too."""
+    return isinstance(error, OSError) and error.errno in _FULL
+
+
+@contextmanager
+def naming_full(path: Path) -> Iterator[None]:
+    """Name a file or folder in the error of a full disk that names none."""
+    try:
+        yield
+    except OSError as error:
+        if is_disk_full(error) and error.filename is None:
+            error.filename = str(path)
+        raise
 
 
 def not_written(path: str | os.PathLike[str], error: Exception) -> OSError:

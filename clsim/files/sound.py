@@ -261,7 +261,8 @@ def _names_of_tracks(names: Sequence[str]) -> bytes:
     listed = f"<TRACK_LIST><TRACK_COUNT>{len(names)}</TRACK_COUNT>{tracks}</TRACK_LIST>"
     text = f'<?xml version="1.0" encoding="UTF-8"?><BWFXML><IXML_VERSION>2.0</IXML_VERSION>{listed}</BWFXML>'
     content = text.encode()
-    return struct.pack("<4sI", b"iXML", len(content)) + content + bytes(len(content) % 2)
+    content += b"\n" * (len(content) % 2)  # libsndfile does not skip the padding of an odd chunk of RF64
+    return struct.pack("<4sI", b"iXML", len(content)) + content
 
 
 def as_frames(samples: NDArray[Any]) -> NDArray[np.float32]:

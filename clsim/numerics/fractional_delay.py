@@ -77,11 +77,17 @@ def chebyshev_degree(cutoff: float, mu_max: float, error: float, importance: tup
     Olver et al., "NIST Handbook of Mathematical Functions", 2010, eq. 10.12.3; its tail is at most ``2 sum_{k > K}
     |J_k(w mu_max)|``.
     """
-    orders, ends = np.arange(_LARGEST_DEGREE + 30), cutoff * np.arange(1, len(importance) + 1) / len(importance)
-    terms = np.abs(scipy.special.jv(orders[:, None], ends * mu_max)) * np.array(importance)
+    terms = _series_terms(cutoff, mu_max, len(importance)) * np.array(importance)
     tail = (2 * np.cumsum(terms[::-1], axis=0)[::-1]).max(axis=1)  # tail[k]: terms k and above
     within = np.flatnonzero(tail[1:] <= error)
     return int(within[0]) if len(within) else _LARGEST_DEGREE
+
+
+@lru_cache(maxsize=64)  # of some 36 KB each
+def _series_terms(cutoff: float, mu_max: float, cells: int) -> Floats:
+    """Return the size of each order's term at the end of each cell up to the cutoff, (orders, cells)."""
+    ends = cutoff * np.arange(1, cells + 1) / cells
+    return np.asarray(np.abs(scipy.special.jv(np.arange(_LARGEST_DEGREE + 30)[:, None], ends * mu_max)))
 
 
 def chebyshev_bank(
@@ -164,13 +170,14 @@ def design_bandlimited(
         half = halves[index]
         taps = chebyshev_bank(degree, half, cutoff, mu_max, importance)
         enough = (1.0 + 1e-9) * 10 ** (error_db / 20)
-        if _largest_deviation(taps, half, 0.0, cutoff, mu_max * _FIRST_DELAYS, importance) > enough:
+        if bank_error(taps, half, 0.0, cutoff, mu_max, importance, few=True) > enough:
             return None
         reached = 20 * math.log10(bank_error(taps, half, 0.0, cutoff, mu_max, importance))
         return (taps, reached) if reached <= error_db else None
 
     about = halves[0] + _length_beyond(error_db, cutoff, importance)
-    found = _first(tried, len(halves), int(np.searchsorted(halves, about)))
+    # It takes one more try than that beyond the length which does, and that length is mostly the next one.
+    found = _first(tried, len(halves), max(int(np.searchsorted(halves, about)) - 1, 0))
     if found is None:
         raise ValueError(f"no filter of up to {_LARGEST_LENGTH} taps reaches {error_db:g} dB up to {cutoff:.4g} rad")
     found[0].flags.writeable = False
@@ -262,7 +269,7 @@ def _length_beyond(error_db: float, cutoff: float, importance: tuple[float, ...]
 
 def _first(tried: Callable[[int], Design | None], count: int, start: int) -> Design | None:
     """First result that is not None of a function that gives None up to some index below `count`, searched from one."""
-    low, high, best, step = -1, count, None, 1  # None at `low`, a result at `high`
+    low, high, best, step, before = -1, count, None, 1, 0  # None at `low`, a result at `high`
     at = min(start, count - 1)
     while high - low > 1:
         result = tried(at)
@@ -272,29 +279,29 @@ def _first(tried: Callable[[int], Design | None], count: int, start: int) -> Des
             high, best = at, result
         inside = low >= 0 and high < count
         at = (low + high) // 2 if inside else high - step if high < count else low + step
-        at, step = min(max(at, low + 1), high - 1), 2 * step
+        at, step, before = min(max(at, low + 1), high - 1), step + before, step  # 1, 1, 2, 3, 5, ...
     return best
 
 
 def bank_error(
-    taps: Floats, centre: int, shift: float, cutoff: float, mu_max: float, importance: tuple[float, ...] = (1.0,)
-) -> float:
-    """Return the largest deviation of a bank from a pure delay (which is 1), over all delays and the band.
+    taps: Floats, centre: int, shift: float, cutoff: float, mu_max: float, importance: tuple[float, ...] = (1.0,),
+    *, few: bool = False,
+) -> float:  # fmt: skip
+    """Return the largest deviation of a bank from a pure delay (which is 1), over all delays, or a few, and the band.
 
     Shapes: taps (branches, length).
     """
-    return _largest_deviation(taps, centre, shift, cutoff, mu_max * _DELAYS, importance)
+    response, w = _turns(cutoff, taps.shape[1], centre) @ taps.T, np.linspace(0.0, cutoff, _FREQUENCIES)
+    made = polynomial.polyval(mu_max * (_FIRST_DELAYS if few else _DELAYS), response.T)
+    left = np.abs(made - _delayed(cutoff, mu_max, shift, few))
+    return float(np.max(left * _importance_at(w, cutoff, importance)[:, None]))
 
 
-def _largest_deviation(
-    taps: Floats, centre: int, shift: float, cutoff: float, mu: Floats, importance: tuple[float, ...]
-) -> float:
-    """Return `bank_error` over some delays (n,), samples."""
-    w = np.linspace(0.0, cutoff, _FREQUENCIES)
-    response = _turns(cutoff, taps.shape[1], centre) @ taps.T
-    delayed = polynomial.polyval(mu, response.T)
-    wanted = np.exp(-1j * np.outer(w, mu + shift))
-    return float(np.max(np.abs(delayed - wanted) * _importance_at(w, cutoff, importance)[:, None]))
+@lru_cache(maxsize=16)  # of some 270 KB each
+def _delayed(cutoff: float, mu_max: float, shift: float, few: bool) -> NDArray[np.complex128]:
+    """Return the responses of pure delays up to the cutoff, (frequencies, delays)."""
+    delays = mu_max * (_FIRST_DELAYS if few else _DELAYS) + shift
+    return np.asarray(np.exp(-1j * np.outer(np.linspace(0.0, cutoff, _FREQUENCIES), delays)))
 
 
 @lru_cache(maxsize=16)  # of some 150 KB each

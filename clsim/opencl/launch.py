@@ -131,7 +131,8 @@ _FILES = {
     "render/render": _VECTORS + _POLYNOMIALS
     + "common/gains.h common/mask.h render/phases.h render/subblock.h render/farrow.h",
     "render/moments": _VECTORS + _POLYNOMIALS + "render/phases.h render/transition.h",
-    "channels/scatter": _VECTORS + _POLYNOMIALS + "common/taper.h render/carrier.h",
+    "channels/scatter": _VECTORS + _POLYNOMIALS
+    + "common/taper.h render/carrier.h channels/transform.h channels/convolve.h",
     "render/plane_waves": _VECTORS,
     "render/baseband": _VECTORS + _POLYNOMIALS
     + "common/mask.h render/carrier.h render/group.h render/branch_powers.h",
@@ -172,7 +173,9 @@ Constant = int | float | str | np.float32
 HEADER_READ = "-D_OPENCL_H_"  # by which the header of OpenCL C, 980 KiB of Clang's, knows that it was read
 
 # Kernels whose work-items do so much that a call is nothing to them; small ones would no longer run side by side.
-LONG_KERNELS = frozenset({"coarse_delays", "tracks", "pair_tracks", "intervals", "edge_intervals", "baseband", "rays"})
+LONG_KERNELS = frozenset(
+    {"coarse_delays", "tracks", "pair_tracks", "intervals", "edge_intervals", "baseband", "scatter", "rays"}
+)
 # The same where every work-item is a group of its own; those of a group wait for each other, which functions cannot.
 LONG_ALONE = frozenset({"render"})
 ALONE = "-DWORKERS=1"

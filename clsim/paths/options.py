@@ -96,7 +96,7 @@ class PathOptions:
     def __post_init__(self) -> None:
         as_choice("finder", self.finder, FINDERS)
         as_choice("engine", self.engine, ENGINES)
-        checked: dict[str, Any] = {}
+        checked: dict[str, Any] = {"max_order": as_count("max_order", self.max_order)}
         if self.resolution is not None:
             checked["resolution"] = as_number("resolution", self.resolution, at_least=1e-9, at_most=1.0, unit="s")
         checked["path_limit"] = as_count("path_limit", self.path_limit, at_least=1)

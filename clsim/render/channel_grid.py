@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -19,14 +19,16 @@ from clsim.render.source_filters import SourceFilters
 
 TAPS = 8  # points over which a path is spread
 PHASES = 2048  # of its place between two points for which the window is kept; between them it is linear
-FINER, COARSER = 5, 4  # points of the grid in so many samples
-WIDEST = 0.95  # share of half the sampling rate, up to which the window's images are 92 dB below
-_SHAPE = 0.61 * math.pi * TAPS  # of the Kaiser-Bessel window: the least images up to that share, found by search
-SPREAD_ERROR_DB = -92.0  # at most, of a frequency at that end of the band
+FINER, COARSER = 16, 12  # points of the grid in so many samples: lanes of vectors in ``convolve.cl``
+WIDEST = 0.95  # share of half the sampling rate, up to which the window's images are 101 dB below
+_SHAPE = 0.635 * math.pi * TAPS  # of the Kaiser-Bessel window: the least images up to that share, found by search
+SPREAD_ERROR_DB = -101.0  # at most, of a frequency at that end of the band
 NODES = 11  # on either side of an instant from which its response is made
 OVERSAMPLING = 1.35  # node rate over the least that holds how responses change
 NODE_ERROR_DB = -90.0  # of the window over nodes, from its transition band; see `node_window`
-_STEP = 16  # points that the grid's length is a multiple of, over 5
+_BESIDE_PASSES, _SHARED = 6, 6  # passes that the rest of a transform takes as long as, and a first one in few lines
+_SAME_LINES = 64  # vectors, 4 KiB: what lies multiples of that apart shares lines of the first cache
+_PASSES = (12, 8, 5, 4, 3, 2)  # parts into which a pass of a transform divides, in this order
 
 
 def window_at(place: Floats) -> Floats:
@@ -78,6 +80,78 @@ def node_window(spacing: int) -> Floats:
     return read_only(np.sinc(place) * i0(shape * np.sqrt(1.0 - np.square(place / NODES))) / i0(shape))
 
 
+@cache
+def passes_of(count: int) -> list[int]:
+    """Return the numbers of parts of the passes of a transform of a 5-smooth number of vectors."""
+    found = []
+    for parts in _PASSES:
+        while count % parts == 0:
+            found.append(parts)
+            count //= parts
+    return found
+
+
+def quick_count(least: int) -> int:
+    """Return the number of vectors, at least so many, whose transform takes the least time."""
+    from scipy.fft import next_fast_len
+
+    counts, count = list[int](), least
+    while (count := next_fast_len(count, real=True)) <= 1.2 * least or not counts:
+        counts.append(count)
+        count += 1
+    shared = [_SHARED * (n // passes_of(n)[0] % _SAME_LINES == 0) for n in counts]
+    of_all = [n * (_BESIDE_PASSES + len(passes_of(n)) + more) for n, more in zip(counts, shared, strict=True)]
+    return counts[int(np.argmin(of_all))]
+
+
+def digit_reversed(passes: Sequence[int]) -> NDArray[np.int64]:
+    """Return the frequencies (count,) in the order in which passes leave them."""
+    found = np.zeros(1, dtype=np.int64)
+    for parts in reversed(passes):
+        found = (np.arange(parts)[:, None] + parts * found).ravel()
+    return found
+
+
+def turns_of(angles: Floats) -> NDArray[np.float32]:
+    """Return cosines and sines (..., 2, n) of angles (..., n), turns."""
+    return np.stack([np.cos(2.0 * math.pi * angles), np.sin(2.0 * math.pi * angles)], axis=-2).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class Transform:
+    """Tables of transforms of grids of a number of vectors, see ``convolve.cl``."""
+
+    radix: NDArray[np.int32]  # parts of passes, then 0
+    turns: NDArray[np.float32]  # of passes
+    lane_turns: NDArray[np.float32]  # of the grid's lanes
+    back_turns: NDArray[np.float32]  # of those at the sampling rate
+    bins: NDArray[np.int64]  # (groups, COARSER, FINER) frequencies at the sampling rate, from 0 to the transform's size
+
+    @classmethod
+    @cache
+    def of(cls, count: int) -> Transform:
+        """Return the tables for a number of vectors."""
+        passes, length, turns = passes_of(count), count, []
+        for parts in passes:
+            angles = np.arange(length // parts)[:, None] * np.arange(1, parts) / length
+            turns.append(turns_of(angles[..., None]).ravel())
+            length //= parts
+        order = np.zeros(-(-count // FINER) * FINER, dtype=np.int64)
+        order[:count] = digit_reversed(passes)
+        of_lanes = order[:, None] * np.arange(FINER)
+        block = np.arange(COARSER)[:, None]
+        bins = order.reshape(-1, 1, FINER) + count * np.where(block < COARSER // 2, block, block - COARSER)
+        return cls(
+            np.array([*passes, 0], np.int32), np.concatenate(turns), turns_of(of_lanes / (FINER * count)),
+            turns_of(of_lanes / (COARSER * count)), bins % (COARSER * count),
+        )  # fmt: skip
+
+    def packed(self, spectra: NDArray[Any]) -> NDArray[np.float32]:
+        """Return spectra (..., size) in the order of transforms, as kernels take them."""
+        found = np.take(spectra.astype(np.complex64, copy=False), self.bins, axis=-1, mode="clip")
+        return found.view(np.float32)
+
+
 @dataclass(frozen=True, slots=True)
 class ChannelGrid:
     """Where responses lie over delay, and how long transforms are."""
@@ -85,19 +159,15 @@ class ChannelGrid:
     first: int  # delay of the first point, samples
     span: int  # samples from there to the end of the longest response
     spacing: int  # samples from node to node
-    size: int  # samples of a transform; of the grid there are 5 / 4 as many points
-    reached: int  # points over which paths are spread; the others are 0
+    size: int  # samples of a transform; of the grid there are 4 / 3 as many points
 
     @classmethod
     def between(cls, shortest: float, longest: float, ringing: int, spacing: int) -> ChannelGrid:
         """Return the grid for delays, samples, that ring so many samples to either side."""
-        from scipy.fft import next_fast_len
-
         first = math.floor(shortest) - ringing - TAPS
         span = math.ceil(longest) + ringing + TAPS - first
-        least = span + 2 * NODES * spacing
-        reached = (span - ringing) * FINER // COARSER
-        return cls(first, span, spacing, COARSER * next_fast_len(-(-least // COARSER), real=True), reached)
+        least = span + (2 * NODES + 1) * spacing  # two nodes at a time
+        return cls(first, span, spacing, COARSER * quick_count(-(-least // COARSER)))
 
     @property
     def points(self) -> int:
@@ -116,13 +186,13 @@ class ChannelGrid:
         return self.received(node)[0] - self.first - self.span
 
     def shaping(self, filters: Floats) -> Complexes:
-        """Return the spectra (K, size / 2 + 1) of filters (K, L) about their middle, over that of the window."""
-        from scipy.fft import rfft
+        """Return the spectra (K, size) of filters (K, L) about their middle, over that of the window."""
+        from scipy.fft import fft, fftfreq
 
         half = filters.shape[1] // 2
         placed = np.zeros((len(filters), self.size))
         placed[:, : half + 1], placed[:, self.size - half :] = filters[:, half:], filters[:, :half]
-        return np.asarray(rfft(placed) / window_spectrum(np.arange(self.size // 2 + 1) / self.points))
+        return np.asarray(fft(placed) / window_spectrum(fftfreq(self.size, self.points / self.size)))
 
 
 def nodes_of(start: int, stop: int, spacing: int) -> range:
@@ -164,8 +234,7 @@ class ChannelFilters:
 
     def frames(self, grid: ChannelGrid, pressure: NDArray[Any], start: int) -> ChannelFrames:
         """Return the frames that add responses of nodes to a piece of the pressure from a sample on."""
-        kind = EnvelopeFrames if isinstance(self.source, EnvelopeFilters) else ChannelFrames
-        return kind(self, grid, pressure, start)
+        return ChannelFrames(self, grid, pressure, start)
 
     def grid(self, shortest: float, longest: float, spacing: int) -> ChannelGrid:
         """Return the grid for delays between two bounds, s."""
@@ -175,19 +244,23 @@ class ChannelFilters:
 
 
 class ChannelFrames:
-    """Adds what the responses of nodes make of one source's signal to a piece of the pressure."""
+    """Adds what the responses of nodes make of one source's signal, or its envelope, to a piece of the pressure."""
 
     def __init__(self, filters: ChannelFilters, grid: ChannelGrid, pressure: NDArray[Any], start: int) -> None:
         self.grid, self._pressure, self._start = grid, pressure, start
         self.nodes = nodes_of(start, start + pressure.shape[1], grid.spacing)
+        self.transform = Transform.of(grid.size // COARSER)
         self._shaping = grid.shaping(filters.filters).astype(np.result_type(pressure, np.complex64))
-        self._window = node_window(grid.spacing).astype(pressure.real.dtype)
+        self.window = node_window(grid.spacing).astype(pressure.real.dtype)
         self._first = grid.needed(self.nodes[0])
-        self._emitted = self._of(filters.source, grid.needed(self.nodes[-1]) + grid.size).astype(pressure.dtype)
+        source = filters.source
+        emitted = source.streams if isinstance(source, EnvelopeFilters) else source.emitted_samples
+        self._emitted = emitted(self._first, grid.needed(self.nodes[-1]) + grid.size).astype(pressure.dtype)
+        self.is_real = not np.iscomplexobj(pressure)
 
-    def _of(self, source: SourceFilters, last: int) -> NDArray[Any]:
-        """Return the emitted samples that transforms take, up to one of them."""
-        return source.emitted_samples(self._first, last)
+    @cached_property
+    def _shapes(self) -> NDArray[np.float32]:
+        return self.transform.packed(self._shaping / self.grid.size)
 
     def active_nodes(self, nodes: range) -> list[int]:
         """Return those of some nodes to whose windows something that sounds may contribute."""
@@ -199,22 +272,28 @@ class ChannelFrames:
         return np.asarray(self._emitted[..., begin : begin + self.grid.size])
 
     def spectra(self, nodes: Sequence[int]) -> NDArray[Any]:
-        """Return the spectra (nodes, size / 2 + 1) of what is emitted and received at some nodes."""
-        from scipy.fft import rfft
+        """Return the spectra (nodes, size), or of streams (nodes, K, size), of what nodes receive without delay."""
+        from scipy.fft import fft
 
-        return np.asarray(rfft(np.stack([self._frame(node) for node in nodes])))
+        return np.asarray(fft(np.stack([self._frame(node) for node in nodes])))
+
+    def factors(self, nodes: Sequence[int]) -> dict[str, Any]:
+        """Return the factors of the spectra of functions, and of their sum, for units of ``scatter.cl``."""
+        emitted = self.transform.packed(self.spectra(nodes))
+        (inner, of_inner), (outer, of_outer) = (self._shapes, 0), (emitted, emitted[0].size)
+        if not self.is_real:
+            (inner, of_inner), (outer, of_outer) = (outer, of_outer), (inner, of_inner)
+        return {"inner": inner, "inner_stride": of_inner, "outer": outer, "outer_stride": of_outer}
 
     def received(self, emitted: NDArray[Any], grids: NDArray[Any]) -> NDArray[Any]:
         """Return weighted samples (nodes, rows, n) of spectra and responses (nodes, rows, K, points)."""
-        from scipy.fft import irfft, rfft
+        from scipy.fft import fft, ifft
 
-        size, bins = self.grid.size, self.grid.size // 2 + 1
-        spectra = rfft(grids)[..., :bins]
-        response = spectra[:, :, 0] * self._shaping[0]
-        for k in range(1, len(self._shaping)):
-            response += spectra[:, :, k] * self._shaping[k]
-        response *= emitted[:, None]
-        return np.asarray(irfft(response, size)[..., self.grid.span :][..., : len(self._window)] * self._window)
+        half, spectra = self.grid.size // 2, fft(grids)
+        spectra = np.concatenate([spectra[..., :half], spectra[..., -half:]], axis=-1) * self._shaping
+        response = np.sum(spectra * emitted.reshape(len(emitted), 1, -1, self.grid.size), axis=2)
+        received = ifft(response)[..., self.grid.span :][..., : len(self.window)] * self.window
+        return np.asarray(received.real if self.is_real else received)
 
     def add(self, node: int, receivers: NDArray[np.integer[Any]], received: NDArray[Any]) -> None:
         """Add a node's samples (receivers, n) to the pressure of receivers."""
@@ -222,32 +301,6 @@ class ChannelFrames:
         begin, end = max(first, 0), min(last, self._pressure.shape[1])
         for row, samples in zip(receivers, received, strict=True):
             self._pressure[row, begin:end] += samples[begin - first : end - first]
-
-
-class EnvelopeFrames(ChannelFrames):
-    """The same for complex envelopes, and for streams of all functions of frequency."""
-
-    def _of(self, source: SourceFilters, last: int) -> NDArray[Any]:
-        return source.streams(self._first, last)
-
-    def spectra(self, nodes: Sequence[int]) -> NDArray[Any]:
-        from scipy.fft import fft
-
-        return np.asarray(fft(np.stack([self._frame(node) for node in nodes])))
-
-    def received(self, emitted: NDArray[Any], grids: NDArray[Any]) -> NDArray[Any]:
-        from scipy.fft import ifft, rfft
-
-        size, half = self.grid.size, self.grid.size // 2
-        spectra = rfft(grids)[..., : half + 1]
-        spectra *= self._shaping[0].real  # the low-pass is symmetric about the carrier
-        response = np.zeros((*grids.shape[:2], size), spectra.dtype)
-        above, below = response[..., :half], response[..., :half:-1]
-        for k in range(grids.shape[2]):
-            real, turned = spectra[:, :, k, 0], 1j * spectra[:, :, k, 1]
-            above += (real + turned)[..., :half] * emitted[:, None, k, :half]
-            below += np.conj(real - turned)[..., 1:half] * emitted[:, None, k, :half:-1]
-        return np.asarray(ifft(response)[..., self.grid.span :][..., : len(self._window)] * self._window)
 
 
 def work_at_nodes(
@@ -258,7 +311,9 @@ def work_at_nodes(
     rate, parts = filters.rate, 1 + int(isinstance(filters, EnvelopeFilters))
     functions *= parts
     nodes = until * rate / spacing + 2 * NODES
-    points = ChannelFilters.of(filters).grid(0.0, longest, spacing).size * ((1.25 * functions + parts) * rows + parts)
+    points = ChannelFilters.of(filters).grid(0.0, longest, spacing).size * (
+        (FINER / COARSER * functions + parts) * rows + parts
+    )
     return nodes * paths, nodes * gains * functions, nodes * points, paths * (until * rate + 2 * NODES * spacing)
 
 
@@ -281,8 +336,6 @@ def reference_channels(part: ChannelPart, start: int, stop: int) -> NDArray[Any]
         turned = np.asarray(gain * filters.carrier_phase((delay + filters.start) * rate))
         for i, node in enumerate(nodes):
             grids = np.stack([spread(places[:, i], of_row[:, :, i], frames.grid.points) for of_row in turned])
-            if np.iscomplexobj(grids):
-                grids = np.stack([grids.real, grids.imag], axis=2)
             rows = plan.rows_of_pair(pair)
             received = frames.received(frames.spectra([node]), grids[None])[0]
             frames.add(node, np.arange(rows.start, rows.stop), received)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -76,7 +77,7 @@ def load_scene(path: str | os.PathLike[str]) -> SceneFile:
     path = Path(path)
     content = read_toml(path)
     try:
-        return build_scene(content, path.parent)
+        return replace(build_scene(content, path.parent), name=str(path))
     except InputError as error:
         given = InputError(error.field, as_toml(error.problem))
         given.file = error.file or str(path)

@@ -168,6 +168,7 @@ class SceneFile:
     render: dict[str, Any]  # keyword arguments of `render`
     model: SceneModel  # the file itself, defaults included
     base: Path  # folder to which the file's paths are relative
+    name: str = ""  # path of the file, which errors name; "" if fields were given otherwise
 
     __repr__ = short_repr
 
@@ -176,7 +177,8 @@ class SceneFile:
         render = self.model.render.model_copy(update=changes)
         model = self.model.model_copy(update={"render": render})
         search = {name: value for name, value in changes.items() if name in self.paths}
-        return replace(self, model=model, paths=self.paths | search, render=self.render | changes)
+        name = "" if changes else self.name
+        return replace(self, model=model, paths=self.paths | search, render=self.render | changes, name=name)
 
     def on_device(self, device: str) -> SceneFile:
         """Return the file with a device of this machine, unless the file names one."""
@@ -200,7 +202,9 @@ def build_scene(content: dict[str, Any], base: Path) -> SceneFile:
     scene = Scene(**parts, min_distance=model.min_distance)
     search = model.paths.arguments() | {name: arguments[name] for name in ("engine", "device")}
     with inside("paths"):
-        PathOptions(**search)  # find_paths refuses the same, but does not know the file
+        PathOptions(**search)  # find_paths and render refuse the same, but later
+    with inside("render"):
+        RenderOptions(**arguments)
     return SceneFile(scene, search, arguments, model, base)
 
 

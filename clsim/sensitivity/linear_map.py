@@ -152,7 +152,7 @@ class TangentTracks(SceneTracks):
             for r in range(len(own.scene.receivers))
         )
         mine = [i for i, pair in enumerate(own.pair_paths) if any(changes(pair, j) for j in here[pair.receiver])]
-        pairs, columns = [], {f.name: getattr(own, f.name) for f in fields(SceneTracks)}
+        pairs, columns = [], {f.name: getattr(own, f.name) for f in fields(SceneTracks) if f.init}
         for i in mine:
             member, count = own.pairs[i], len(here[own.pairs[i].receiver])
             pairs.append(replace(member, channels=range(count * member.channels.start, count * member.channels.stop)))
@@ -222,7 +222,7 @@ class FilteredTracks(SceneTracks):
     @classmethod
     def of(cls, own: SceneTracks) -> FilteredTracks:
         """Return the same tracks with these gains."""
-        return cls(**{f.name: getattr(own, f.name) for f in fields(SceneTracks)})
+        return cls(**{f.name: getattr(own, f.name) for f in fields(SceneTracks) if f.init})
 
     def gains(
         self, pairs: Sequence[int], paths: Sequence[PairPaths], found: Arrivals, times: Floats, basis: Basis

@@ -33,7 +33,7 @@ from clsim.render.render import Rendering, record
 from clsim.room_measures import room_measures
 from clsim.scene.scene import Scene
 from clsim.study.draws import NoiseModel
-from clsim.study.file import PARTS, SOUNDS, TAKEN, Member, Study
+from clsim.study.file import LABELS, PARTS, SOUNDS, TAKEN, Member, Study
 from clsim.workflow.checkpoint import run_identity
 from clsim.workflow.pipeline import PlannedScene, check_table_size, plan_scene, render_into, table_times
 
@@ -72,7 +72,8 @@ def computed(study: Study, member: Member, device: str | None, folder: Path) -> 
     if study.metrics:
         function = metrics_function(study.metrics, study.folder)
         metrics = function(recording, planned.paths, dict(member.parameters))
-        _add_metrics(content, metrics, {*TAKEN, *member.parameters, *wanted, "sound"})
+        of_labels = () if study.shards is None else (*LABELS, *content.attrs)
+        _add_metrics(content, metrics, {*TAKEN, *member.parameters, *wanted, "sound", *of_labels})
     used = None if plan.options.engine != "opencl" else find_device(plan.options.device)[0]
     return Computed(
         content, sounds, sound.sound_attributes, store.paths[0], "" if used is None else f"{used.id} {used.name}"

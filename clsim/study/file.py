@@ -30,6 +30,8 @@ SOUNDS = PARTS | {"recording", "noise"}
 DEFAULT_LIMIT = 1000
 _COUNTABLE = 10**18  # members
 TAKEN = ("member", "status", "seconds", "error", "receiver")  # names in the summary
+# Of members in shards, beside those of variables.
+LABELS = {"key", "warnings", "files", "sha256", "full_scale", *(f"full_scale_{part}" for part in SOUNDS)}
 
 
 def parsed(path: str) -> list[str | int]:

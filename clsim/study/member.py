@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import shutil
@@ -18,7 +17,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from clsim.errors import ClsimWarning, DeviceError, check_packages, in_one_line
-from clsim.files.atomic import to_disk, tree_to_disk
+from clsim.files.atomic import is_disk_full, naming_full, to_disk, tree_to_disk
 from clsim.numerics.blas import with_blas_threads
 from clsim.output.raw_files import arrays_with_missing_chunks, is_sealed, seal
 from clsim.output.stores import STORE_FORMAT, write_zarr
@@ -35,7 +34,6 @@ PARTIAL = ".partial"
 DONE = ("finished", "failed")
 ROOT_ATTRIBUTES = {"clsim_store_format": STORE_FORMAT, "clsim_version": __version__}
 _STUDY = TypeAdapter(Study)
-_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class MemberTasks(Tasks):
@@ -78,7 +76,7 @@ def run_member(folder: str, number: int, device: str | None) -> dict[str, Any]:
         return found
     begun = time.perf_counter()
     row: dict[str, Any] = {"member": number, "status": "finished", "error": ""}
-    with warnings.catch_warnings(record=True) as caught:
+    with naming_full(Path(folder)), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", ClsimWarning)
         partial = Path(folder) / PARTIAL / f"{member.name}-{uuid.uuid4().hex}"
@@ -197,11 +195,6 @@ def check_worker(folder: str, needs_device: bool, device: str | None) -> tuple[s
     except Exception as error:
         return in_one_line(error), isinstance(error, DeviceError)
     return "", False
-
-
-def is_disk_full(error: BaseException) -> bool:
-    """Return True for an error that all other members would meet, too."""
-    return isinstance(error, OSError) and error.errno in _DISK_FULL
 
 
 def _settings(folder: str) -> Study:

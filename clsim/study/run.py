@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from clsim.arrays import texts
-from clsim.errors import InputError, in_one_line, warn
-from clsim.files.atomic import locked, remove_leftovers, safe_path, sha256_of, uninterrupted
+from clsim.errors import InputError, in_one_line, of_file, warn
+from clsim.files.atomic import locked, naming_full, remove_leftovers, safe_path, sha256_of, uninterrupted
 from clsim.output.raw_files import is_sealed, seal
 from clsim.output.stores import write_zarr
 from clsim.study.content import metrics_function
@@ -192,6 +192,7 @@ def metrics_of(group: Path) -> dict[str, Any] | str:
 def _stacked(folder: Path, index: Index) -> dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]:
     """Return dimensions, values (NaN where a member has none) and coordinates of every metric."""
     stacked: dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]] = {}
+    others: dict[str, int] = {}
     for i, number in enumerate(sorted(index.rows)):
         if index.rows[number].status != "finished":
             continue
@@ -207,6 +208,10 @@ def _stacked(folder: Path, index: Index) -> dict[str, tuple[tuple[str, ...], Any
                 stacked[name] = over, empty, {k: values.coords[k].variable for k in values.indexes}
             if stacked[name][0] == over and stacked[name][1].shape[1:] == values.shape:
                 stacked[name][1][i] = values.values
+            else:
+                others.setdefault(name, number)
+    for name, number in others.items():
+        warn(f"summary: {name} is NaN for member {number} and others of another shape than the first one's")
     return stacked
 
 
@@ -265,17 +270,18 @@ def run_study(
     progress = progress or no_progress
     doing = Workers(workers, scheduler)
     doing.check("study", "a study")
-    study = load_study(path, DEFAULT_LIMIT if limit is None else limit)
+    with of_file(path):
+        study = load_study(path, DEFAULT_LIMIT if limit is None else limit)
     folder = Path(output).absolute()
     new = not (resume or retry)
     if new:
         _refuse_begun(folder)
-    with progress("checking scenes", len(study.members)) as advance:
+    with of_file(path), progress("checking scenes", len(study.members)) as advance:
         files = checked(study, advance)
     if study.metrics:
         metrics_function(study.metrics, study.folder)
     folder.mkdir(parents=True, exist_ok=True)
-    with locked(folder / ".lock", "--output"):
+    with naming_full(folder), locked(folder / ".lock", "--output"):
         begun = _begin(study, files, folder, new)
         results = results_of(study, folder)
         index = Index(folder, study.members, results)

@@ -47,9 +47,9 @@ def write_member(path: Path, made: Computed, form: str, row: Row) -> None:
             files[f"{name}{part}.wav"] = header + np.ascontiguousarray(frames, "<f4").tobytes()
     labels |= {key: value for key, value in content.attrs.items() if isinstance(value, str | float | int)}
     labels |= {str(key): _plain(str(key), value.values) for key, value in content.variables.items()}
-    labels["files"] = [{"name": key, "sha256": hashlib.sha256(data).hexdigest()} for key, data in files.items()]
-    labels["sha256"] = _text_digest(labels)
-    text = json.dumps(labels, sort_keys=True).encode()
+    labels["files"] = [{"name": key, "sha256": _sha256(data)} for key, data in files.items()]
+    content_text = _text(labels)
+    text = f'{content_text[:-1]}, "sha256": "{_sha256(content_text)}"}}'.encode()
     with safe_path(path) as temporary, tarfile.open(temporary, "w", format=tarfile.USTAR_FORMAT) as archive:
         for key, data in ({f"{name}.json": text} | files).items():  # without time or owner: equal members, equal bytes
             about = tarfile.TarInfo(key)
@@ -57,8 +57,12 @@ def write_member(path: Path, made: Computed, form: str, row: Row) -> None:
             archive.addfile(about, io.BytesIO(data))
 
 
-def _text_digest(labels: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(labels, sort_keys=True, allow_nan=False).encode()).hexdigest()
+def _text(labels: dict[str, Any]) -> str:
+    return json.dumps(labels, sort_keys=True, allow_nan=False)
+
+
+def _sha256(data: str | bytes) -> str:
+    return hashlib.sha256(data.encode() if isinstance(data, str) else data).hexdigest()
 
 
 def _plain(name: str, values: NDArray[Any]) -> Any:
@@ -85,9 +89,9 @@ def read_members(path: Path) -> Iterator[tuple[dict[str, Any], dict[str, bytes]]
                 if kind == "json":
                     labels, files = json.loads(content), {}
                     wanted = {one["name"]: one["sha256"] for one in labels["files"]}
-                    if labels.pop("sha256") != _text_digest(labels):
+                    if labels.pop("sha256") != _sha256(_text(labels)):
                         raise DamagedError("", f"{about.name} in {path} is not what was written")
-                elif wanted.pop(about.name) == hashlib.sha256(content).hexdigest():
+                elif wanted.pop(about.name) == _sha256(content):
                     files[kind] = content
                 else:
                     raise DamagedError("", f"{about.name} in {path} is not what was written")
@@ -268,7 +272,7 @@ def _write_table(path: Path, rows: list[dict[str, Any]], digest: bytes) -> None:
         values = [row.get(name) for row in rows]
         try:
             columns[name] = pa.array(values)
-        except (pa.ArrowInvalid, pa.ArrowTypeError):
+        except (pa.ArrowInvalid, pa.ArrowTypeError, OverflowError):
             columns[name] = pa.array([json.dumps(value) for value in values])
     table = pa.table(columns).replace_schema_metadata({_FORMAT: b"1", _DIGEST: digest})
     parquet.write_table(table, path, compression="zstd", write_page_checksum=True)

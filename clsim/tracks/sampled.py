@@ -264,16 +264,16 @@ def _picked(level: Floats, count: int, rng: np.random.Generator) -> tuple[NDArra
         return emitting, np.ones(len(emitting))
     loud = level[emitting]
     chance = np.minimum(count * loud / loud.sum(), 1.0)
-    before = None
+    before = 0
     for _ in range(8):
-        sure = chance >= 1.0
-        if not sure.any() or (before is not None and (sure == before).all()):  # nothing changes any more
+        sure = chance >= 1.0  # the loudest, more of them each time
+        number = int(np.count_nonzero(sure))
+        if number == before:  # nothing changes any more
             break
-        before = sure
-        left = max(count - int(sure.sum()), 1)
+        before, left = number, max(count - number, 1)
         chance = np.where(sure, 1.0, np.minimum(left * loud / max(float(loud[~sure].sum()), 1e-300), 1.0))
-    at = np.searchsorted(np.cumsum(chance), rng.random() + np.arange(math.floor(chance.sum())))
-    at = np.unique(at[at < len(emitting)])
+    at = np.searchsorted(chance.cumsum(), rng.random() + np.arange(math.floor(chance.sum())))
+    at = at[(at < len(emitting)) & (np.diff(at, prepend=-1) > 0)]
     return emitting[at], 1.0 / chance[at]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -210,8 +210,16 @@ class SceneTracks(Tracks):
     transition: float
     source_count: int
     receiver_names: tuple[str, ...]
+    # By start, end and source: filters, chunks and memory ask for the same ones.
+    _longest: dict[tuple[float, float, int | None], float] = field(default_factory=dict, init=False)
 
     __repr__ = short_repr
+
+    def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
+        key = start, end, source
+        if key not in self._longest:
+            self._longest[key] = Tracks.longest_delay(self, start, end, source)
+        return self._longest[key]
 
     @property
     def of_scene(self) -> SceneTracks:

@@ -18,7 +18,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,7 @@ from clsim.workflow.processes import Row
 _busy = threading.Lock()  # a process does one piece at a time: engines are not shared
 
 
+@cache
 def versions() -> dict[str, str]:
     """Return the versions of packages that samples depend on."""
     return {"clsim": __version__, "numpy": np.__version__, "scipy": version("scipy")}

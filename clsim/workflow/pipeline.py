@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from clsim.arrays import Floats
-from clsim.errors import InputError, warn
+from clsim.errors import InputError, of_file, warn
 from clsim.files.input_files import file_names
 from clsim.output.raw_files import SampleFile
 from clsim.output.stores import SoundStore, StoredSound, store_kinds
@@ -74,7 +74,7 @@ class PlannedScene:
 def plan_scene(file: SceneFile, progress: Progress = no_progress) -> PlannedScene:
     """Return the paths of a scene file and the plan of rendering them."""
     paths = find_scene_paths(file, progress)
-    with _errors_within("render"):
+    with _errors_within("render", file):
         options = RenderOptions(**file.render)
         what = "planning" if options.tail == "off" else "tracing rays"
         with progress(what, 1.0) as advance:
@@ -84,7 +84,7 @@ def plan_scene(file: SceneFile, progress: Progress = no_progress) -> PlannedScen
 def find_scene_paths(file: SceneFile, progress: Progress = no_progress) -> PathSet:
     """Return the paths of a scene file; parameters as in `plan_scene`."""
     try:
-        with _errors_within("paths"), progress("finding paths", 1.0) as advance:
+        with _errors_within("paths", file), progress("finding paths", 1.0) as advance:
             paths = find_paths(file.scene, **file.paths, progress=shares(advance))
     except MemoryError as error:
         raise InputError("paths.max_order", "must be smaller: there is not enough memory for so many paths") from error
@@ -95,14 +95,15 @@ def find_scene_paths(file: SceneFile, progress: Progress = no_progress) -> PathS
 
 
 @contextmanager
-def _errors_within(table: str) -> Iterator[None]:
-    """Name the field of the scene file in errors; fields that are not the scene's belong to `table`."""
-    try:
-        yield
-    except InputError as error:
-        if re.split(r"[.[]", error.field)[0] in _OF_SCENE:
-            raise
-        raise error.within(table) from error
+def _errors_within(table: str, file: SceneFile) -> Iterator[None]:
+    """Name scene file and field in errors; fields that are not the scene's belong to `table`."""
+    with of_file(file.name):
+        try:
+            yield
+        except InputError as error:
+            if re.split(r"[.[]", error.field)[0] in _OF_SCENE:
+                raise
+            raise error.within(table) from error
 
 
 def table_times(plan: Plan, rate: float, field: str) -> Floats:

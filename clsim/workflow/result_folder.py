@@ -187,7 +187,8 @@ class ResultFolder:
             with atomic.locked(self.work / _LOCK, "--output"):
                 try:
                     self._check()
-                    yield
+                    with atomic.naming_full(self.folder):
+                        yield
                 except BaseException as error:
                     self._keep_or_clear(error)
                     raise

@@ -78,7 +78,12 @@ def test_check_and_paths_say_what_there_is(scene: Path, tmp_path: Path, capsys) 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("max_order = 2", "max_order = 99"), "paths.max_order"),
+        (("max_order = 2", "max_order = 99"), "scene.toml: paths.max_order: must be from 0 to 60, but is 99"),
+        (("max_order = 2", "max_order = -2"), "scene.toml: paths.max_order: must be at least 0, but is -2"),
+        (
+            ("sampling_rate = 192e3\n", "sampling_rate = 192e3\nchunk = 0\n"),
+            "scene.toml: render.chunk: must be at least 1",
+        ),
         (("[3.0, 1.0, 2.0]", "[3.0, 1.0, 2.6]"), "receivers[0].trajectory"),
         (("[3.0, 1.0, 2.0]", "[3.0, 1.0, nan]"), "receivers[0].trajectory.position[2]"),
         (("reflection", "reflektion"), "room.walls.reflektion"),

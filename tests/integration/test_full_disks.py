@@ -65,6 +65,7 @@ def test_a_disk_that_is_full_loses_nothing(number: int, disk: Path, tmp_path: Pa
     lines = [line for line in failed.splitlines() if not line.startswith("clsim: warning: ")]
     assert len(lines) == 1
     assert any(words in lines[0] for words in LINES), lines
+    assert str(disk) in lines[0], "which file or folder"
     if kind in ("rir", "view"):
         assert not list(disk.iterdir())
     subprocess.run(["mount", "-o", "remount,size=64m", str(disk)], check=True)

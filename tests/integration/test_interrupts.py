@@ -152,20 +152,6 @@ cli.main = main
 sys.argv = ["clsim", "check"]
 __main__.run()
 """
-
-
-@pytest.mark.skipif(os.name != "posix", reason="this system has other signals")
-def test_an_interrupt_of_which_a_library_makes_another_error_is_one_line() -> None:
-    command = [
-        sys.executable,
-        "-c",
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n" + CONVERTED,
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=ENVIRONMENT)
-    assert done.returncode == 130
-    assert [line.startswith(MESSAGE) for line in done.stderr.splitlines()] == [True]
-
-
 UNAWAITED = """
 import os, signal, sys, time
 from clsim import __main__, cli
@@ -197,8 +183,10 @@ __main__.run()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="this system has other signals")
-@pytest.mark.parametrize("script", [HALF_MADE, UNAWAITED], ids=["half an event loop", "a coroutine"])
-def test_what_an_interrupt_leaves_of_other_packages_is_not_reported(script: str) -> None:
+@pytest.mark.parametrize(
+    "script", [CONVERTED, HALF_MADE, UNAWAITED], ids=["an error", "half an event loop", "a coroutine"]
+)
+def test_what_other_packages_make_of_an_interrupt_is_not_reported(script: str) -> None:
     """As of Zarr, which makes a coroutine for each file that it writes, and of Dask's event loops."""
     begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     command = [sys.executable, "-c", begin + script]

@@ -90,16 +90,8 @@ def folder(finished: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_two_workers_write_the_same_bytes(finished: Path, tmp_path: Path) -> None:
-    assert main([*write(tmp_path / "two"), "--workers", "2"]) == 0
-    assert content(tmp_path / "two") == content(finished)
-    assert sorted(content(finished)) == [f"shard-00000{k}.{kind}" for k in range(3) for kind in ("parquet", "tar")]
-    assert not any((finished / "out" / "members").iterdir())
-
-
-@pytest.mark.slow
 def test_a_killed_study_goes_on_to_the_same_bytes(finished: Path, tmp_path: Path) -> None:
-    """Killed with its workers once a shard is joined and a member waits, or as soon as possible behind that."""
+    """Two workers write what one does, killed with the study once a shard is joined and a member waits, or soon behind that."""
     arguments = [*write(tmp_path / "killed"), "--workers", "2"]
     out = tmp_path / "killed" / "out"
     study = subprocess.Popen(
@@ -116,6 +108,8 @@ def test_a_killed_study_goes_on_to_the_same_bytes(finished: Path, tmp_path: Path
     assert main([*arguments, "--resume"]) == 0
     assert waiting, "the study was killed before its end"
     assert content(tmp_path / "killed") == content(finished)
+    assert sorted(content(finished)) == [f"shard-00000{k}.{kind}" for k in range(3) for kind in ("parquet", "tar")]
+    assert not any((finished / "out" / "members").iterdir())
     assert {row["status"] for row in index(tmp_path / "killed").values()} == {"finished"}
 
 

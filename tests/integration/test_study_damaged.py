@@ -105,7 +105,7 @@ def test_a_study_is_a_store_of_its_members(folder_of_study: Path, capsys, error_
 )
 def test_what_cannot_run_is_one_line(folder_of_study: Path, error_of, monkeypatch, more: list[str], message: str):
     monkeypatch.setattr("clsim.workflow.workers._REACH", 0.5)
-    assert error_of(*write(folder_of_study, [0, 1], [1.0]), *more).startswith(message)
+    assert message in error_of(*write(folder_of_study, [0, 1], [1.0]), *more)
     assert not (folder_of_study / "out").exists(), "nothing was begun"
 
 

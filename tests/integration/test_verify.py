@@ -3,6 +3,7 @@
 import gc
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -132,6 +133,17 @@ def test_damaged_attributes_of_an_hdf5_file_are_one_error(tmp_path: Path, monkey
         assert said == []
 
 
+LOADING = """
+import sys
+import clsim
+for folder in sys.argv[1:]:
+    try:
+        clsim.load_recording(folder)
+    except clsim.InputError as error:
+        print(error)
+"""
+
+
 def test_a_damaged_list_of_strings_of_an_hdf5_file_is_refused(tmp_path: Path) -> None:
     """The HDF5 library does not return from one whose free space, or an object, has no length: in a process of its own."""
     pytest.importorskip("h5netcdf")
@@ -142,11 +154,14 @@ def test_a_damaged_list_of_strings_of_an_hdf5_file_is_refused(tmp_path: Path) ->
     free = heap + 16
     while whole[free]:
         free += 16 + -(-int.from_bytes(whole[free + 8 : free + 16], "little") // 8) * 8
-    code = "import clsim, sys; clsim.load_recording(sys.argv[1])"
-    for at, size in ((free, 0), (heap + 16, 2**64 - 16)):
-        path.write_bytes(whole[: at + 8] + size.to_bytes(8, "little") + whole[at + 16 :])
-        told = subprocess.run([sys.executable, "-c", code, str(out)], capture_output=True, text=True, timeout=60)
-        assert told.stderr.splitlines()[-1].startswith("clsim.errors.InputError: folder: must be a store of clsim")
+    folders = [out, shutil.copytree(out, tmp_path / "other")]
+    for folder, at, size in zip(folders, (free, heap + 16), (0, 2**64 - 16), strict=True):
+        damaged = whole[: at + 8] + size.to_bytes(8, "little") + whole[at + 16 :]
+        (folder / path.name).write_bytes(damaged)
+    line = [sys.executable, "-c", LOADING, *map(str, folders)]
+    told = subprocess.run(line, capture_output=True, text=True, timeout=60)
+    lines = told.stdout.splitlines()
+    assert [line.startswith("folder: must be a store of clsim") for line in lines] == [True, True], told.stderr
 
 
 def test_an_hdf5_file_of_one_block_is_read(tmp_path: Path) -> None:

@@ -160,7 +160,7 @@ MUTANTS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("program", ["tracks", "render"])
+@pytest.mark.parametrize("program", sorted({program for program, _, _ in MUTANTS.values()}))
 def test_mutants_are_caught(program: str, monkeypatch: pytest.MonkeyPatch) -> None:
     plans = [box_plan(pulses(0.1, 5), order=2)]
     if program == "tracks":  # gains there change slowly; near by and fast they are those of every node
@@ -174,7 +174,3 @@ def test_mutants_are_caught(program: str, monkeypatch: pytest.MonkeyPatch) -> No
 
     assert unseen(), "none of them is chosen"
     assert [name for name in mutants if unseen()] == []
-
-
-def test_mutants_are_of_the_programs_that_leave_out() -> None:
-    assert {program for program, _, _ in MUTANTS.values()} == {"tracks", "render"}

@@ -295,8 +295,3 @@ def local_errors(got: np.ndarray, exact: Truth, times: np.ndarray) -> tuple[np.n
     level = np.bincount(window, exact.level**2) / count
     heard = np.flatnonzero(level > 10 ** (QUIET_DB / 10) * level.max())
     return (heard + 0.5) * WINDOW, 10.0 * np.log10(np.maximum(wrong[heard], 1e-300) / level[heard])
-
-
-def local_error_db(got: np.ndarray, exact: Truth, times: np.ndarray) -> float:
-    """Return the worst of `local_errors`, dB."""
-    return float(local_errors(got, exact, times)[1].max())

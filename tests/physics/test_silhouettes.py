@@ -310,7 +310,7 @@ def crossing(thing: str) -> clsim.PathSet:
     """Return the direct sound of a chirp, and a body with a shadow that turns as it crosses its path; or two of them."""
     times, angle = np.linspace(0.0, 0.1, 5), np.linspace(0.0, 0.4, 5)[:, None]
     turned = np.concatenate([np.sin(angle) * np.array([0.36, 0.48, 0.8]), np.cos(angle)], axis=1)
-    way = clsim.Trajectory.waypoints(times, np.array([2.0, 1.5, 1.2]) + np.outer(times, [0.2, 5.0, 0.5]), turned)
+    way = clsim.Trajectory.waypoints(times, np.array([2.0, 1.6, 1.2]) + np.outer(times, [0.2, 5.0, 0.5]), turned)
     made = {
         "ellipsoid": lambda: clsim.Scatterer.ellipsoid("e", (0.1, 0.15, 0.12), way, shadow=True),
         "capsule": lambda: clsim.Scatterer.capsule("e", 0.05, 0.2, way, shadow=True),
@@ -322,7 +322,7 @@ def crossing(thing: str) -> clsim.PathSet:
         pole = clsim.Trajectory.fixed((1.6, 1.72, 1.2), turn)
         bodies.insert(0, clsim.Scatterer.capsule("pole", 0.05, 0.4, pole, shadow=True))
     band = (30e3, 50e3) if len(bodies) == 1 else (39e3, 41e3)  # the reference takes minutes for two in the wide one
-    chirp = clsim.Signal.pulses(clsim.Signal.chirp(*band, 4e-3, 192e3, window="tukey"), 0.01, 6)
+    chirp = clsim.Signal.pulses(clsim.Signal.chirp(*band, 4e-3, 192e3, window="tukey"), 0.01, 4)
     scene = clsim.Scene(
         clsim.Shoebox((4.0, 3.0, 2.5), clsim.Material.from_reflection(0.8)), clsim.Air(),
         [clsim.Source("s", chirp, clsim.Trajectory.fixed((1.0, 1.7, 1.2)))],
@@ -341,13 +341,13 @@ def crossing(thing: str) -> clsim.PathSet:
 def test_shadows_on_the_device(thing: str, device: str, measured: Callable[..., float]) -> None:
     """A body that turns as it passes between: the device's sound is that of the float64 reference."""
     paths = crossing(thing)
-    wanted = clsim.render(paths, 192e3, duration=0.06, engine="reference").samples
-    still = clsim.render(clsim.find_paths(replace(paths.scene, scatterers=()), 0), 192e3, duration=0.06).samples
+    wanted = clsim.render(paths, 192e3, duration=0.04, engine="reference").samples
+    still = clsim.render(clsim.find_paths(replace(paths.scene, scatterers=()), 0), 192e3, duration=0.04).samples
     finest_db = -75.0 if thing.startswith("pole and ") else -90.0  # two shades in a row need too many functions below
     claims = ((finest_db, f"shadow of a {thing} that passes, on the device"), (-60.0, "the same by default"))
     for asked_db, claim in claims:
         options = {} if asked_db == -60.0 else {"scattering_error_db": asked_db}
-        made = clsim.render(paths, 192e3, duration=0.06, **options).samples
+        made = clsim.render(paths, 192e3, duration=0.04, **options).samples
         error = 10.0 * np.log10(
             np.mean((made - wanted) ** 2) / np.mean(still**2)
         )  # as deep in a shadow little is heard

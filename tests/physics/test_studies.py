@@ -94,6 +94,7 @@ def test_a_ceiling_of_receivers(measured) -> None:
     assert times.bias[2] < -study.PUBLISHED  # every range too long: too far below the ceiling
 
 
+@pytest.mark.exhaustive
 def test_a_long_run_that_was_killed_finds_its_ranges(tmp_path, measured) -> None:
     """The sound is that of a run in one go; ranges are exact to half a sample, 11 mm, and what Doppler adds to chirps.
 

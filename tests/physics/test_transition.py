@@ -135,14 +135,6 @@ def test_no_step_is_larger_than_the_transition_allows(engine: str) -> None:
     assert np.abs(np.diff(envelope[inner])).max() < 1.1 * bound
 
 
-@pytest.mark.usefixtures("device")
-def test_chunks_change_nothing_while_paths_come_and_go() -> None:
-    _scene, paths = walk()
-    whole = clsim.render(paths, RATE, duration=0.4, chunk=10**9).pressure
-    parts = clsim.render(paths, RATE, duration=0.4, chunk=1).pressure
-    assert 20 * np.log10(np.linalg.norm(parts - whole) / np.linalg.norm(whole)) < -98.0
-
-
 def test_nothing_is_heard_without_a_path(engine: str) -> None:
     room = clsim.MeshRoom(*l_room(), WALL)
     ears = [clsim.Receiver("r", clsim.Trajectory.fixed((7.5, 3.0, 1.6)))]

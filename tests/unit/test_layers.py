@@ -13,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from sources import tree_of
 
 import clsim
 
@@ -58,11 +59,6 @@ BY_NAME = {
 }
 # Of whose classes nobody outside asks what a value is one of: what differs by kind is the package's own.
 HOMES = ("scene/room", "tracks")
-
-
-@cache
-def tree_of(path: Path) -> ast.Module:
-    return ast.parse(path.read_text("utf-8"))
 
 
 def place(path: Path, node: ast.AST | None = None) -> str:

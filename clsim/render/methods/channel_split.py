@@ -24,7 +24,7 @@ _BLOCKS_IN_TAPER = 8  # at least: cubics hold its weight within -94 dB, root mea
 _STEADY = 2500  # samples of a taper from which on lines hold its weight over a subblock of 32, within -86 dB of a path
 _CUT_STEP = 4e-3  # s between times at which delays are looked at about a jump, and between which they are lines
 _A_CHANNEL = 0.1  # of a path's processor time, for each channel beside the first: 4 to 16 were measured
-_EVALUATED_AT = (4, 8, 24)  # pairs, paths of each, and instants at which the error over time is measured
+_EVALUATED_AT = (4, 8, 32)  # pairs, paths of each, and instants of all pairs: the error over time is measured there
 _INSTANTS = 64  # at which distances of paths are looked at
 _FEW = 64  # paths, about, that tell what all cost
 _NEAR = 2.0  # distances from which a path is taken for near, over the least that is allowed
@@ -162,11 +162,12 @@ def node_error_db(
     """Measure the error between nodes at the end of the band, relative to responses, dB, by a few active paths."""
     rate = filters.rate
     rng, window = np.random.default_rng(emission.source), node_window(spacing)
-    count = _EVALUATED_AT[2]
-    of_run = rng.integers(0, max(round(emission.until * rate), 1), count)
-    of_run[:2] = 0, round(emission.until * rate)
+    some = pairs[:: -(-len(pairs) // _EVALUATED_AT[0])]
+    count = _EVALUATED_AT[2] // len(some)  # of each
     wrong = loud = 0.0
-    for pair in pairs[:: -(-len(pairs) // _EVALUATED_AT[0])]:
+    for pair in some:
+        of_run = rng.integers(0, max(round(emission.until * rate), 1), count)
+        of_run[:2] = 0, round(emission.until * rate)
         rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _EVALUATED_AT[1] - 1)))
         places, tapers = of_run, tracks.pairs[pair].tapers
         if tapers is not None:

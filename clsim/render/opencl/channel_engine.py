@@ -11,12 +11,22 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats
 from clsim.opencl.launch import work
-from clsim.render.channel_grid import PHASES, TAPS, ChannelFilters, ChannelFrames, ChannelGrid, nodes_of, window_table
+from clsim.render.channel_grid import (
+    COARSER,
+    FINER,
+    PHASES,
+    TAPS,
+    ChannelFilters,
+    ChannelFrames,
+    ChannelGrid,
+    nodes_of,
+    window_table,
+)
 from clsim.render.envelope import EnvelopeFilters
 from clsim.render.opencl.batches import ActivePaths, Fades, PathBatch, in_batches
 from clsim.render.opencl.branch_signals import Branches, Task
 from clsim.render.opencl.engine import OpenclEngine, Run
-from clsim.render.opencl.host_nodes import side_by_side, thread_count
+from clsim.render.opencl.host_nodes import thread_count
 from clsim.render.plan import Plan
 from clsim.render.source_filters import SourceFilters
 from clsim.tracks.splines import TAPER_TERMS, Tapers, taper_terms
@@ -105,8 +115,9 @@ class TaperedEngine(OpenclEngine):
 
 
 _APART = 8  # neighbouring slots whose delays lie far apart, see scatter.cl
-_TOGETHER = 4  # nodes to a thread at a time. SciPy transforms four side by side; others take three times as long each
-_AT_ONCE = 32 * 2**20  # bytes of grids that are made at a time: a launch takes as long as some hundred thousand places
+_AT_ONCE = 8 * 2**20  # bytes of received samples, or of factors, that are made at a time
+_CACHED = 640 * 2**10  # bytes of grids of a thread: the second cache holds them
+_UNITS, _FUNCTIONS = (2, 1), (8, 4, 2, 1)  # that are taken at a time where their grids do not take more
 _MARGIN = 64  # samples beside the bounds of delays
 
 
@@ -126,7 +137,15 @@ class ChannelEngine(OpenclEngine):
         self.window = self._upload(window_table().astype(np.float32))
         self.branch_signals.last = -(2**62)  # there are none to prepare
         self._filters = [ChannelFilters.of(filters) for filters in plan.source_filters]
-        self.reached: dict[tuple[int, ...], int] = {}  # points of grids of a shape (1:) that were ever written
+        self._tables: dict[ChannelGrid, dict[str, Any]] = {}
+
+    def tables(self, frames: ChannelFrames) -> dict[str, Any]:
+        """Return the tables of transforms of frames, and the weights of their samples, on the device."""
+        if frames.grid not in self._tables:
+            names = "radix", "turns", "lane_turns", "back_turns"
+            made = {name: getattr(frames.transform, name) for name in names} | {"weights": np.pad(frames.window, FINER)}
+            self._tables = {frames.grid: {name: self._upload(table) for name, table in made.items()}}
+        return self._tables[frames.grid]
 
     def until(self, last: int) -> None:
         """Prepare nothing anyway."""
@@ -163,7 +182,7 @@ class ChannelEngine(OpenclEngine):
 
 
 class _ChannelRun(Run):
-    """Makes the responses of one batch of receivers at the nodes of some segments, and adds what is heard by them."""
+    """Makes the responses of one batch of receivers at the nodes of some segments, and adds their sound."""
 
     _task: ChannelTask
     _engine: ChannelEngine
@@ -171,11 +190,6 @@ class _ChannelRun(Run):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._tapers = BatchTapers(self._plan, self._batch)
-
-    @property
-    def _parts(self) -> int:
-        """Return the number of grids of a function: real and imaginary parts of envelopes."""
-        return 1 if self._plan.baseband is None else 2
 
     @staticmethod
     def _turns(filters: SourceFilters) -> dict[str, Any]:
@@ -192,56 +206,78 @@ class _ChannelRun(Run):
         return np.where(error > self._tolerance, self._promising_levels(error, level), level)
 
     def _render(self, nodes: Any, segment: int, end: int, block: int, first_block: int) -> None:
-        begin, frames, rows = segment * self._plan.segment, self._task.frames, self._batch.row
+        begin, frames = segment * self._plan.segment, self._task.frames
         spacing, first, last = frames.grid.spacing, self._start + begin, self._start + end
         wanted = frames.active_nodes(range(-(-first // spacing), -(-last // spacing)))
-        unit, of_receiver = _TOGETHER * thread_count(), 4 * self._parts * self._gains * frames.grid.points
-        beside = min(max(1, _AT_ONCE // (unit * of_receiver)), len(rows))
-        step = unit * max(1, _AT_ONCE // (unit * beside * of_receiver))
-        for some in (wanted[i : i + step] for i in range(0, len(wanted), step)):
-            at = np.array(some) * spacing - first
-            place = 2.0 * (at % block) / block - 1.0
+        rows, plane = self._batch.row, 4 * len(frames.transform.lane_turns) * FINER
+        together = next((n for n in _UNITS if 2 * n * self._gains * plane <= _CACHED), 1)
+        of_unit = np.arange(2 if frames.is_real else 1)
+        first_nodes, there = _units(wanted, len(of_unit), together)
+        of_receiver = 8 * self._channels * (len(frames.window) + 2 * FINER)
+        beside = min(max(1, _AT_ONCE // (together * of_receiver)), len(rows))
+        step = together * max(1, _AT_ONCE // (together * max(beside * of_receiver, 4 * plane)))
+        for i in range(0, len(first_nodes), step):
+            some = first_nodes[i : i + step], there[i : i + step]
+            at = (some[0][:, None] + of_unit).ravel() * spacing - first
             where = {
-                "node_block": (at // block + first_block).astype(np.int32), "node_place": place.astype(np.float32),
+                "node_block": np.where(some[1].ravel(), at // block + first_block, -1).astype(np.int32),
+                "node_place": (2.0 * (at % block) / block - 1.0).astype(np.float32), "nodes": len(at),
                 "node_sample": at.astype(np.float32), **self._tapers.arguments(first),
+                **frames.factors(some[0].tolist()),
             }  # fmt: skip
-            spectra = frames.spectra(some)
-            for i in range(0, len(rows), beside):
-                self._scattered(nodes, some, where, spectra, slice(i, min(i + beside, len(rows))))
+            for k in range(0, len(rows), beside):
+                self._received(nodes, some, where, together, slice(k, min(k + beside, len(rows))))
 
-    def _scattered(
-        self, nodes: Any, some: list[int], where: dict[str, Any], spectra: NDArray[Any], receivers: slice
-    ) -> None:
-        """Make responses of some nodes, by their blocks and places there, to some receivers, and add their sound."""
+    def _received(
+        self, nodes: Any, units: tuple[NDArray[Any], NDArray[Any]], where: dict[str, Any], together: int,
+        receivers: slice,
+    ) -> None:  # fmt: skip
+        """Add the sound of some receivers by their responses at the nodes of units, by blocks and places there."""
         import pyopencl as cl
 
         engine, frames, rows = self._engine, self._task.frames, self._batch.row[receivers]
-        shape = len(some), len(rows), self._parts * self._gains, frames.grid.points
-        grids = engine._scratch.take(("grids", shape[1:]), 4 * math.prod(shape), zeros=True)
-        reached = engine.reached[shape[1:]] = max(frames.grid.reached, engine.reached.get(shape[1:], 0))
-        filters = self._plan.source_filters[self._source]
-        bank, room = filters.bank, 1 if shape[2] == 1 else -(-shape[2] // 8) * 8
+        filters, grid, nodes_in_unit = self._plan.source_filters[self._source], frames.grid, 2 if frames.is_real else 1
+        shift, positions = filters.bank.shift, len(frames.transform.lane_turns)
+        of_function = 8 * together * positions * FINER
+        some = next((n for n in _FUNCTIONS if n < 2 * self._gains and n * of_function <= _CACHED), 1)
+        of_worker = 2 * together * positions * (some * FINER + self._channels * COARSER)
+        workers = min(2 * thread_count(), len(units[0]) // together * len(rows))
+        shape = len(units[0]), len(rows), self._channels, 2, len(frames.window) + 2 * FINER
+        received = engine._scratch.take("received", 4 * math.prod(shape))
         constants = {
-            "LANES": 8, "FUNCTIONS": room, "PHASES": PHASES, "TAPS": TAPS, "TOGETHER": _TOGETHER,
+            "LANES": 8, "FUNCTIONS": some, "PHASES": PHASES, "TAPS": TAPS, "TOGETHER": together * nodes_in_unit,
             "TAPERED": int(self._tapers.there), **CONSTANTS, **self._polynomial_constants(nodes),
         }  # fmt: skip
         engine._compiler.kernel("scatter", constants)(
-            engine._queue, work(-(-len(some) // _TOGETHER), len(rows), group=1), delay=nodes.delay,
-            polynomials=nodes.polynomials, slots=self._batch.count, functions=self._gains, nodes=len(some), **where,
+            engine._queue, work(workers, group=1), delay=nodes.delay, polynomials=nodes.polynomials,
+            slots=self._batch.count, functions=self._functions, channels=self._channels, **where,
             first_slot=self._batch.first_slot[receivers.start : receivers.stop + 1], receivers=len(rows),
-            window=engine.window, first=frames.grid.first - math.floor(bank.shift),
-            shift=bank.shift - math.floor(bank.shift), points=shape[3], reached=reached, grids=grids,
-            **self._turns(filters),
+            window=engine.window, first=grid.first - math.floor(shift), shift=shift - math.floor(shift),
+            **self._turns(filters), count=grid.size // COARSER, **engine.tables(frames), first_sample=grid.span,
+            apart=grid.spacing * (nodes_in_unit - 1), length=len(frames.window), stride=shape[-1],
+            scratch=engine._scratch.take("grids", 4 * workers * of_worker), of_worker=of_worker, received=received,
         )  # fmt: skip
-        mapped: Any = cl.enqueue_map_buffer(engine._queue, grids, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
-        # Of each function the channels of a receiver come side by side.
-        made = mapped.reshape(len(some), len(rows), self._functions, self._channels, self._parts, shape[3])
-        made = made.swapaxes(2, 3).reshape(len(some), -1, self._functions, self._parts, shape[3])
-        made = made[..., 0, :] if self._parts == 1 else made
-        rows = (rows[:, None] + np.arange(self._channels)).ravel()
-        parts = np.array_split(np.arange(len(some)), min(thread_count(), len(some)))
-        received = side_by_side(lambda part: frames.received(spectra[part], made[part[0] : part[-1] + 1]), parts)
+        mapped: Any = cl.enqueue_map_buffer(engine._queue, received, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
+        into = (rows[:, None] + np.arange(self._channels)).ravel()
+        made = np.moveaxis(mapped.reshape(len(units[0]), len(into), 2, -1)[..., FINER:-FINER], 2, 1)
+        for first, there, parts in zip(units[0].tolist(), units[1], made, strict=True):
+            for i in np.flatnonzero(there).tolist():
+                frames.add(first + i, into, parts[i] if frames.is_real else parts[0] + 1j * parts[1])
         mapped.base.release(engine._queue)
-        for part, samples in zip(parts, received, strict=True):
-            for i, of_node in zip(part, samples, strict=True):
-                frames.add(some[i], rows, of_node)
+
+
+def _units(nodes: list[int], in_unit: int, together: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the first nodes (units,) of units of up to so many neighbours, and which nodes (units, in_unit) there are.
+
+    The number of units is a multiple of those that are taken together.
+    """
+    first, counts = list[int](), list[int]()
+    for node in nodes:
+        if first and counts[-1] < in_unit and node == first[-1] + counts[-1]:
+            counts[-1] += 1
+        else:
+            first.append(node)
+            counts.append(1)
+    spare = -len(first) % together
+    units, there = np.array(first + first[:1] * spare, np.int64), np.array(counts + [0] * spare)
+    return units, np.arange(in_unit) < there[:, None]

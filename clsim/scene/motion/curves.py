@@ -213,7 +213,9 @@ class Onward:
 
     def position(self, time: Floats) -> Floats:
         known = np.clip(time, self.first, self.last)
-        return np.asarray(self.curve.position(known) + self.curve.velocity(known) * (time - known)[..., None])
+        found, beyond = self.curve.position(known), time != known
+        found[beyond] += self.curve.velocity(known[beyond]) * (time - known)[beyond][..., None]
+        return found
 
     def velocity(self, time: Floats) -> Floats:
         return self.curve.velocity(np.clip(time, self.first, self.last))

@@ -275,10 +275,12 @@ def test_wav_needs_a_whole_rate_and_a_folder(tmp_path) -> None:
     assert list(tmp_path.iterdir()) == [tmp_path / "folder.wav"]
 
 
-def test_wav_beyond_4_gib_is_rf64(tmp_path) -> None:
-    (tmp_path / "large.wav").write_bytes(wav_header(192e3, 1, 2**30) + np.ones(3, np.float32).tobytes())
+@pytest.mark.parametrize("names", [(), ("a", "b"), ("a", "bc")])  # of an even and an odd number of bytes
+def test_wav_beyond_4_gib_is_rf64(tmp_path, names: tuple[str, ...]) -> None:
+    rows = len(names) or 1
+    (tmp_path / "large.wav").write_bytes(wav_header(192e3, rows, 2**30, names) + np.ones((3, rows), "<f4").tobytes())
     assert soundfile.info(tmp_path / "large.wav").format == "RF64"
-    np.testing.assert_array_equal(soundfile.read(tmp_path / "large.wav")[0][:3], np.ones(3))
+    np.testing.assert_array_equal(soundfile.read(tmp_path / "large.wav", 3)[0], np.ones((3, rows)).squeeze())
 
 
 def test_table_survives_npz(tmp_path, table: PathTable) -> None:

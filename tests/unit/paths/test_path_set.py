@@ -1,4 +1,4 @@
-"""Images of a shoebox and the path table, against explicit mirroring."""
+"""Sets of paths of a shoebox: gains, columns, corners and refusals."""
 
 from dataclasses import replace
 
@@ -6,40 +6,9 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.paths.find_paths import shoebox_image_count, shoebox_images
 from clsim.paths.response import SceneResponse
 
 SIZE = np.array([8.0, 6.0, 3.0])
-
-
-def mirrored(point: np.ndarray, wall: int) -> np.ndarray:
-    out = point.copy()
-    axis, side = divmod(wall, 2)
-    out[axis] = 2.0 * (SIZE[axis] if side else 0.0) - point[axis]
-    return out
-
-
-@pytest.mark.parametrize("order", [0, 1, 2, 5, 10, 30])
-def test_image_count(order: int) -> None:
-    expected = 1 + 2 * order * (2 * order**2 + 3 * order + 4) / 3
-    assert len(shoebox_images(SIZE, order).order) == expected == shoebox_image_count(order)
-
-
-def test_images_are_reached_by_mirroring_in_their_walls() -> None:
-    images = shoebox_images(SIZE, 4)
-    point = np.array([1.3, 4.1, 0.7])
-    for order, walls, matrix, offset in zip(images.order, images.walls, images.matrix, images.offset, strict=True):
-        assert np.count_nonzero(walls >= 0) == order
-        image = point
-        for wall in walls[walls >= 0]:
-            image = mirrored(image, int(wall))
-        np.testing.assert_allclose(matrix @ point + offset, image, atol=1e-12)
-
-
-def test_images_differ() -> None:
-    images = shoebox_images(SIZE, 8)
-    positions = images.matrix @ np.array([1.3, 4.1, 0.7]) + images.offset
-    assert len(np.unique(np.round(positions, 9), axis=0)) == len(positions)
 
 
 @pytest.fixture
@@ -56,21 +25,6 @@ def scene() -> clsim.Scene:
     return clsim.Scene(room, clsim.Air(speed_of_sound=340.0), [source], receivers)
 
 
-def test_table_of_the_direct_path(scene: clsim.Scene) -> None:
-    table = clsim.find_paths(scene, 1).table([0.25])
-    # Approaching at 2 m/s from 5 m: emitted at te with 340 (t - te) = 5 - 2 te.
-    emitted = (340.0 * 0.25 - 5.0) / 338.0
-    assert table.direct[0]
-    assert table.delay[0, 0] == pytest.approx(0.25 - emitted, abs=1e-14)
-    assert table.doppler_factor[0, 0] == pytest.approx(1.0 / (1.0 - 2.0 / 340.0), rel=1e-12)
-    distance = 340.0 * table.delay[0, 0]
-    absorption = scene.air.absorption_at(40e3)
-    expected = 10 ** (-absorption * (distance - 1) / 20) / distance / (1 - 2 / 340)
-    assert table.gain[0, 0] == pytest.approx(expected, rel=1e-12)
-    np.testing.assert_allclose(table.departure[0, 0], [1, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(table.arrival[0, 0], [-1, 0, 0], atol=1e-12)
-
-
 def test_without_absorption_a_gain_is_spreading_and_walls_alone(scene: clsim.Scene) -> None:
     still = clsim.Source("s", scene.sources[0].signal, clsim.Trajectory.fixed((2, 3, 1)))
     bare = clsim.Scene(scene.room, clsim.Air(absorption=False), [still], scene.receivers)
@@ -84,15 +38,6 @@ def test_without_absorption_a_gain_is_spreading_and_walls_alone(scene: clsim.Sce
         found = pair.arrivals(np.zeros(1))
         response = pair.response(found, np.zeros(1), SceneResponse(bare, 0, frequencies))[:, 0]
         np.testing.assert_allclose(response, (factors / distance)[rows, None] * np.ones(3), rtol=1e-12)
-
-
-def test_reflection_keeps_its_sign_and_directions_mirror(scene: clsim.Scene) -> None:
-    table = clsim.find_paths(scene, 1).table([0.25])
-    floor = next(p for p in range(7) if table.walls[p, 0] == 4)
-    assert table.gain[floor, 0] < 0.0
-    # Down to the floor at the source, and up from it at the receiver: the arrival direction points down.
-    assert table.departure[floor, 0, 2] < 0.0
-    assert table.arrival[floor, 0, 2] == pytest.approx(table.departure[floor, 0, 2], abs=1e-12)
 
 
 def test_order_out_of_range(scene: clsim.Scene) -> None:

@@ -65,6 +65,7 @@ def test_a_new_option_is_a_key_without_more() -> None:
 
 def test_a_new_option_is_a_key_of_scenes_and_studies(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(SceneModel.model_fields, "render", _field(render_model(MoreOptions)))
+    monkeypatch.setattr("clsim.scene_file.scene.RenderOptions", MoreOptions)
     SceneModel.model_rebuild(force=True)
     try:
         file = build_scene(replaced(SCENE, "render.tail_db", -45.0), tmp_path)

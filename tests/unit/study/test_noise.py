@@ -30,7 +30,7 @@ def test_the_ratio_of_energies_is_met() -> None:
 
 @pytest.mark.parametrize(("field", "law"), few([("spherical", np.sinc), ("cylindrical", lambda x: j0(np.pi * x))]))
 def test_the_coherence_is_that_of_a_diffuse_field(field: str, law: object) -> None:
-    _, noise = made(field=field)
+    _, noise = made(30.0, field=field)
     # The window's main lobe, four lines wide, smears the law less than this; the mean over lines is much finer.
     count = 2 * noise.shape[1] / WINDOW
     powers = [welch(each, RATE, nperseg=WINDOW)[1] for each in noise]

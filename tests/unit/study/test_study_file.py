@@ -187,6 +187,12 @@ def test_bad_studies_are_told(text: str, message: str, tmp_path: Path) -> None:
             "member 1 (air.relative_humidity = 2.0): air.relative_humidity: must be",
         ),
         ("receivers[*].trajectory.position", "[[1.0, 1.0, 9.0]]", "receivers[0].trajectory: must stay inside the room"),
+        (
+            "paths.max_order",
+            "[1, -2]",
+            "member 1 (paths.max_order = -2): paths.max_order: must be at least 0, but is -2",
+        ),
+        ("render.chunk", "[0]", "member 0 (render.chunk = 0): render.chunk: must be at least 1, but is 0"),
         ("paths.max_order", '["two"]', 'member 0 (paths.max_order = "two"): paths.max_order'),
     ],
 )

@@ -280,13 +280,13 @@ def test_identity_changes_with_what_samples_depend_on(folder: Path) -> None:
 def test_errors_of_members_name_the_field_of_the_scene_file(folder: Path) -> None:
     pytest.importorskip("xarray")
     (folder / "study.toml").write_text(
-        STUDY.replace("sources[0].trajectory.end[0]", "paths.max_order").replace("1.1", "-1")
+        STUDY.replace("sources[0].trajectory.end[0]", "paths.max_order").replace("1.1", "99")
     )
     study = load_study(folder / "study.toml")
     (folder / "study.json").write_text(json.dumps(study_to_settings(study)), "utf-8")
     row = run_member(str(folder), 0, None)
     assert row["status"] == "failed"
-    assert row["error"].startswith("paths.max_order: must be ")
+    assert row["error"].startswith("paths.max_order: must be from 0 to 20")
 
 
 def test_a_device_of_this_machine_is_not_part_of_the_scene(tmp_path: Path) -> None:

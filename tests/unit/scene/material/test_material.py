@@ -218,21 +218,3 @@ def test_frequency_and_angle_broadcast():
     assert flat.shape == (3, 4)
     flat[0, 0] = 0.1  # the caller's own
     assert flat[1, 0] == 0.5
-
-
-@pytest.mark.parametrize(
-    ("material", "words"),
-    [
-        (Material.from_reflection(0.9), "reflection 0.9"),
-        (Material.from_reflection(0.5j).rough(1e-4), "reflection 0+0.5j, 0.1 mm rough"),
-        (Material.from_absorption([1e3], [0.5]), "absorption table"),
-        (Material.from_table([1e3], [0.5]), "table of factors"),
-        (Material.from_table([1e3], [0.5j]), "complex table"),
-        (Material.from_impedance([1e3], [1.0]), "locally reacting impedance"),
-        (Material.from_impulse_response([0.5], 48e3), "impulse response of 1 samples"),
-        (Material.from_solid(2300.0, 3500.0), "solid of 2300 kg/m³ and 3500 m/s"),
-        (Material.from_porous(1e4, 0.02), "porous layer of 20 mm and 10000 Pa s/m²"),
-    ],
-)
-def test_materials_say_what_they_are(material, words):
-    assert material.describe() == words

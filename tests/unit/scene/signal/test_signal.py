@@ -84,12 +84,6 @@ def test_windows_of_a_chirp(window: str, expected: np.ndarray) -> None:
     np.testing.assert_allclose(shaped, plain * expected[:-1], rtol=0, atol=1e-14)
 
 
-def test_fade_of_a_tone_rises_and_falls_as_a_raised_cosine() -> None:
-    plain, faded = (Signal.tone(40e3, 0.1, RATE, amplitude=3.0, fade=f).read(0, 19_200) for f in (0.0, 0.02))
-    # Two fades of 0.02 s in 0.1 s are the ends of a Tukey window of 0.4.
-    np.testing.assert_allclose(faded, plain * tukey(19_201, 0.4)[:-1], rtol=0, atol=3e-14)
-
-
 def test_train_is_its_pulse_in_every_period() -> None:
     train = Signal.pulses(PULSE, 0.002, 50)
     expected = np.tile(np.pad(PULSE.read(0, 192), (0, 192)), 50)[:-192]
@@ -113,11 +107,6 @@ def test_ten_minutes_are_never_held_whole(signal: Signal) -> None:
     tracemalloc.stop()
     # A block is 0.5 MB and some copies of it; the whole would be 920 MB. scipy's modules may be loaded here first.
     assert peak < 50e6
-
-
-def test_pulse_period_must_be_whole_samples() -> None:
-    with pytest.raises(InputError, match=r"period: must be a whole number of samples.*0\.09999"):
-        Signal.pulses(PULSE, 0.1 - 2e-6, 3)
 
 
 def test_noise_has_its_level_band_and_seed() -> None:
@@ -339,10 +328,14 @@ def test_wav_with_nan_or_nothing_is_refused(tmp_path) -> None:
         (lambda: Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=RATE, bits=10**12), "bits"),
         (lambda: Signal.sequence(carrier=40e3, chip_rate=8e3, sampling_rate=RATE, bits=5, code=31), "code"),
         (lambda: Signal.pulses(PULSE, 0.5e-3, 3), "period"),
+        (lambda: Signal.pulses(PULSE, 0.1 - 2e-6, 3), r"period: must be a whole number of samples.*0\.09999"),
         (lambda: Signal.pulses(PULSE, 0.1, 0), "count"),
         (lambda: Signal.pulses(Signal.pulses(PULSE, 0.1, 2), 1.0, 2), "pulse"),
         (lambda: Signal.from_array([1.0, float("inf")], RATE), r"samples\[1\]"),
         (lambda: Signal.from_array([], RATE), "samples"),
+        (lambda: Signal.from_array(np.array([True, False]), RATE), "samples: must be numbers, but are true and false"),
+        (lambda: Signal.from_array(np.array([0.0, 1.0]), RATE, scale=0.0), "scale: must not be 0"),
+        (lambda: Signal.from_array(np.exp(1j * np.arange(9.0)), 48e3), "samples: must be real, but is complex128$"),
     ],
 )
 def test_bad_input_names_the_field(make, field: str) -> None:
@@ -353,7 +346,7 @@ def test_bad_input_names_the_field(make, field: str) -> None:
 @pytest.mark.parametrize(
     "make",
     [
-        lambda fade: Signal.tone(40e3, 0.02, RATE, phase=0.5 * np.pi, fade=fade),
+        lambda fade: Signal.tone(40e3, 0.02, RATE, amplitude=3.0, phase=0.5 * np.pi, fade=fade),
         lambda fade: Signal.chirp(20e3, 80e3, 0.02, RATE, fade=fade),
         lambda fade: Signal.noise(0.02, RATE, seed=3, fade=fade),
         lambda fade: Signal.noise(0.02, RATE, seed=3, band=(30e3, 50e3), fade=fade),
@@ -412,18 +405,6 @@ def test_loud_amplitudes_are_questioned(field: str, make: Callable[[float], Sign
     with pytest.warns(ClsimWarning, match=f"^{field}: .* 160 dB SPL at 1 m"):
         make(2829.0)
     make(2828.0)  # warnings are errors
-
-
-def test_samples_that_are_no_levels_are_refused() -> None:
-    with pytest.raises(InputError, match=r"^samples: must be numbers, but are true and false"):
-        Signal.from_array(np.array([True, False]), RATE)
-    with pytest.raises(InputError, match=r"^scale: must not be 0"):
-        Signal.from_array(np.array([0.0, 1.0]), RATE, scale=0.0)
-
-
-def test_complex_samples_are_refused_rather_than_halved() -> None:
-    with pytest.raises(InputError, match=r"^samples: must be real, but is complex128$"):
-        Signal.from_array(np.exp(1j * np.arange(9.0)), 48e3)
 
 
 def test_sound_whose_squares_are_zero_is_silence() -> None:
