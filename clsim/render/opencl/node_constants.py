@@ -9,7 +9,7 @@ import numpy as np
 from clsim.acoustics import fock, silhouette
 from clsim.acoustics.capsule import CAP_FADE, FLATTEST, NEAR_JUNCTION
 from clsim.acoustics.diffraction import AT_CORNER, END_TERMS, ON_BOUNDARY, ON_LINE
-from clsim.acoustics.outline import NEAR_AXIS, NEAREST_END
+from clsim.acoustics.outline import NEAR_AXIS, NEAR_ROUNDS, NEAREST_END
 from clsim.acoustics.scattering import ELONGATED, FAR, FOUND, LONGEST_STEP, OUTWARD_STEPS, PENUMBRA
 from clsim.acoustics.sphere import LEFT_OUT
 from clsim.paths.cubics import FACE_COLUMNS, POSE_COLUMNS
@@ -26,7 +26,7 @@ _CONVERGED = 1e-5  # rad of a specular point: after the step its error, and that
 # Constants of every program of nodes, whatever its leg and vertex.
 OF_DELAYS = {
     "STATIC": STATIC, "MOVING": MOVING, "EDGE": EDGE, "SCATTERER": SCATTERER,
-    "SHADE": SHADE,    "POINT": POINT, "CAPSULE": CAPSULE,
+    "SHADE": SHADE, "POINT": POINT, "CAPSULE": CAPSULE,
     "ELONGATED": ELONGATED, "OUTWARD_STEPS": OUTWARD_STEPS,
     "LONGEST_STEP": LONGEST_STEP, "SPECULAR_FAR": FAR, "SPECULAR_FOUND": FOUND, "SETTLED": _CONVERGED,
     "FLATTEST": FLATTEST, "NO_PATH": NO_PATH, "ON_LINE": ON_LINE, "PATIENCE": PATIENCE, "BEYOND_LEG": BEYOND_LEG,
@@ -39,7 +39,7 @@ OF_GAINS = {
     "COSINE_WHOLE": silhouette.FORWARD_COSINE[0], "COSINE_NONE": silhouette.FORWARD_COSINE[1],
     "NEAR_WHOLE": silhouette.NEAR_FOCK[0], "NEAR_NONE": silhouette.NEAR_FOCK[1],
     "GRAZING": silhouette.GRAZING[0], "GRAZED": silhouette.GRAZING[1], "SHORTEST": silhouette.SHORTEST,
-    "NEAREST_END": NEAREST_END, "NEAR_AXIS": NEAR_AXIS, "CAP_FADE": CAP_FADE, "WITHIN": silhouette.WITHIN,
+    "NEAREST_END": NEAREST_END, "NEAR_AXIS": NEAR_AXIS, "NEAR_ROUNDS": NEAR_ROUNDS, "CAP_FADE": CAP_FADE, "WITHIN": silhouette.WITHIN,
     "SHARP": silhouette.SHARP, "ELLIPSOID": ELLIPSOID, "SPHERE": SPHERE,
 }  # fmt: skip
 SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere": SPHERE}

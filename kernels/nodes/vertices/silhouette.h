@@ -1,13 +1,13 @@
 // How near a body is to the line of sight, and what it reflects where it is no mirror: twin of acoustics/silhouette.py.
 
 #if VERTEX >= SCATTERER && PARTS == 2
-// Distance by which the line of sight passes the body, about, m, below 0 where it meets it; and at which share of its length.
+// Distance by which the line of sight passes the body, about, m, 0 or less where it meets it; and at which share of its length.
 static double clearance_of(const outline* o, double* share)
 {
     double along[3], nearest[3];
+    for (int i = 0; i < 3; i++) along[i] = o->receiver[i] - o->source[i];
     if (o->is_capsule) {
         const double straight = o->axes[2] - o->axes[0];
-        for (int i = 0; i < 3; i++) along[i] = o->receiver[i] - o->source[i];
         const double level = dot_of(along, along), slope = along[2], length = dot_of(o->source, along);
         const double parted = fmax(level - slope * slope, 1e-12 * level);
         double height = fmin(fmax((o->source[2] * level - slope * length) / parted, -straight), straight);
@@ -17,13 +17,28 @@ static double clearance_of(const outline* o, double* share)
         nearest[2] -= height;
         return sqrt(dot_of(nearest, nearest)) - o->axes[0];
     }
-    double begin[3];
-    for (int i = 0; i < 3; i++) begin[i] = o->source[i] / o->axes[i], along[i] = (o->receiver[i] - o->source[i]) / o->axes[i];
-    *share = fmin(fmax(-dot_of(begin, along) / fmax(dot_of(along, along), TINY), 0.0), 1.0);
-    for (int i = 0; i < 3; i++) nearest[i] = begin[i] + *share * along[i];
-    const double out = sqrt(dot_of(nearest, nearest));
-    for (int i = 0; i < 3; i++) nearest[i] *= o->axes[i];
-    return (1.0 - 1.0 / fmax(out, 0.5)) * sqrt(dot_of(nearest, nearest));
+    double lift = 0.0, foot[3] = {0.0, 0.0, 0.0}, passed = 0.0;
+    for (int k = 0; k < NEAR_ROUNDS; k++) {
+        double level = 0.0, length = 0.0, squared = 0.0, slope = 0.0;
+        for (int i = 0; i < 3; i++) {
+            const double scale = k ? 1.0 : 1.0 / (o->axes[i] * o->axes[i]);
+            level += scale * along[i] * along[i], length += scale * along[i] * (foot[i] - o->source[i]);
+        }
+        *share = fmin(fmax(length / fmax(level, TINY), 0.0), 1.0);
+        for (int i = 0; i < 3; i++) {
+            const double axis = o->axes[i] * o->axes[i];
+            nearest[i] = o->source[i] + *share * along[i];
+            const double bent = nearest[i] / (axis + lift);
+            squared += axis * bent * bent, slope += axis * bent * bent / (axis + lift);
+        }
+        lift = fmax(lift + (sqrt(squared) - 1.0) * squared / fmax(slope, TINY), 0.0);
+        passed = 0.0;
+        for (int i = 0; i < 3; i++) {
+            foot[i] = nearest[i] * o->axes[i] * o->axes[i] / (o->axes[i] * o->axes[i] + lift);
+            passed += (nearest[i] - foot[i]) * (nearest[i] - foot[i]);
+        }
+    }
+    return sqrt(passed);
 }
 
 // Share of the field about the outline, `forward_share`, at central waves in a metre.
