@@ -5,9 +5,11 @@ static arrival arrival_of(const path_nodes* s, int i, double through, const envi
 {
     const arrivals* a = s->node + VECTOR(i);
     const int lane = LANE(i);
-    *fielded = VERTEX == SHADE && PARTS == 2;
 #if VERTEX == SHADE && PARTS == 2
     shade_at(s, i, field);
+    *fielded = 1;
+#else
+    *fielded = 0;
 #endif
     const triple departure = triple_of(&a->departure, lane);
 #if WIND

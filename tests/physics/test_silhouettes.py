@@ -169,6 +169,25 @@ def test_outlines_count_near_the_line_of_sight() -> None:
     assert np.abs(found).max() < 0.4
 
 
+def test_lines_of_sight_pass_ellipsoids_at_their_nearest_points() -> None:
+    """Forty lines, and 80000 points of the surface of a forearm: coordinates that make it a sphere are wrong by 60 %."""
+    rng, axes = np.random.default_rng(4), np.array([0.0385, 0.05, 0.175])
+    source, middle = rng.normal(size=(40, 3)), 0.15 * rng.normal(size=(40, 3))
+    along = middle - source
+    around = np.linspace(0.0, 2.0 * np.pi, 400)[None]
+    up = np.linspace(0.0, np.pi, 200)[:, None]
+    surface = np.stack(np.broadcast_arrays(np.sin(up) * np.cos(around), np.sin(up) * np.sin(around), np.cos(up)), -1)
+    away = surface.reshape(-1, 1, 3) * axes - source
+    share = np.clip(np.sum(away * along, axis=2) / np.sum(along**2, axis=1), 0.0, 2.0)
+    exact = np.linalg.norm(away - share[..., None] * along, axis=2).min(axis=0)
+    found, place = EllipsoidOutline(axes).clearance(source, source + 2.0 * along)
+    beside = exact > 0.02
+    assert np.sum(beside) > 20
+    np.testing.assert_allclose(found[beside], exact[beside], rtol=0.1)
+    foot = np.linalg.norm(source + 2.0 * place[:, None] * along, axis=1)
+    assert np.all(foot < axes.max() + exact + 1e-9)
+
+
 @pytest.mark.parametrize("thin", [0.01, 0.003, 0.0003])
 def test_thin_discs_edge_on_leave_the_free_field(thin: float) -> None:
     """A disc of 60 cm, as rigid as it is, has nothing to reflect or to shade there; Fock's term alone adds 2 to 14 dB."""

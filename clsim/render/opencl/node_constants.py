@@ -39,8 +39,8 @@ OF_GAINS = {
     "COSINE_WHOLE": silhouette.FORWARD_COSINE[0], "COSINE_NONE": silhouette.FORWARD_COSINE[1],
     "NEAR_WHOLE": silhouette.NEAR_FOCK[0], "NEAR_NONE": silhouette.NEAR_FOCK[1],
     "GRAZING": silhouette.GRAZING[0], "GRAZED": silhouette.GRAZING[1], "SHORTEST": silhouette.SHORTEST,
-    "NEAREST_END": NEAREST_END, "NEAR_AXIS": NEAR_AXIS, "NEAR_ROUNDS": NEAR_ROUNDS, "CAP_FADE": CAP_FADE, "WITHIN": silhouette.WITHIN,
-    "SHARP": silhouette.SHARP, "ELLIPSOID": ELLIPSOID, "SPHERE": SPHERE,
+    "NEAREST_END": NEAREST_END, "NEAR_AXIS": NEAR_AXIS, "NEAR_ROUNDS": NEAR_ROUNDS, "CAP_FADE": CAP_FADE,
+    "WITHIN": silhouette.WITHIN, "SHARP": silhouette.SHARP, "ELLIPSOID": ELLIPSOID, "SPHERE": SPHERE,
 }  # fmt: skip
 SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere": SPHERE}
 # Structures of kernels/nodes/path.h.
