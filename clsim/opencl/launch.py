@@ -132,7 +132,8 @@ _FILES = {
     + "common/gains.h common/mask.h render/phases.h render/subblock.h render/farrow.h",
     "render/moments": _VECTORS + _POLYNOMIALS + "render/phases.h render/transition.h",
     "channels/scatter": _VECTORS + _POLYNOMIALS
-    + "common/taper.h render/carrier.h channels/transform.h channels/convolve.h",
+    + "common/taper.h render/carrier.h channels/places.h channels/transform.h channels/convolve.h",
+    "channels/components": _VECTORS + _POLYNOMIALS + "common/taper.h channels/places.h",
     "render/plane_waves": _VECTORS,
     "render/baseband": _VECTORS + _POLYNOMIALS
     + "common/mask.h render/carrier.h render/group.h render/branch_powers.h",

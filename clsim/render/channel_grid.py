@@ -295,6 +295,19 @@ class ChannelFrames:
         received = ifft(response)[..., self.grid.span :][..., : len(self.window)] * self.window
         return np.asarray(received.real if self.is_real else received)
 
+    def received_components(self, emitted: NDArray[Any], grids: Sequence[NDArray[Any]]) -> NDArray[Any]:
+        """Return weighted samples (n, M) of a node's spectrum and its grids (points, M) of functions of frequency."""
+        from scipy.fft import irfft, rfft
+
+        size, bins = self.grid.size, self.grid.size // 2 + 1
+        filters = (self._shaping * emitted)[:, :bins]
+        response = rfft(grids[0], axis=0)[:bins]  # no other function has more components
+        response *= filters[0, :, None]
+        for grid, filtered in zip(grids[1:], filters[1:], strict=True):
+            response[:, : grid.shape[1]] += rfft(grid, axis=0)[:bins] * filtered[:, None]
+        sound = irfft(response, size, axis=0)[self.grid.span :][: len(self.window)]
+        return np.asarray(sound * self.window[:, None])
+
     def add(self, node: int, receivers: NDArray[np.integer[Any]], received: NDArray[Any]) -> None:
         """Add a node's samples (receivers, n) to the pressure of receivers."""
         first, last = (at - self._start for at in self.grid.received(node))

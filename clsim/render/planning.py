@@ -310,7 +310,8 @@ def moved_to(allocation: Allocation, device: str) -> Allocation:
 
     def moved(part: Any) -> Any:
         options = replace(part.plan.options, device=device)
-        return replace(part, plan=replace(part.plan, options=options, builders=[PER_SAMPLE]))
+        inside = moved_to(part.plan.allocation, device)
+        return replace(part, plan=replace(part.plan, options=options, allocation=inside, builders=[PER_SAMPLE]))
 
     parts: dict[str, Any] = {name: tuple(map(moved, getattr(allocation, name))) for name in WITH_PLANS}
     return replace(allocation, **parts)

@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Floats, firsts, ranges
+from clsim.numerics.quaternions import quaternion_product
 from clsim.paths.family import PairPaths
 from clsim.paths.response import Arrivals, SceneResponse
 from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.motion.curves import CONTINUATION, onward
+from clsim.scene.motion.motion import Motion, Turning
 from clsim.scene.room.faces import NEAREST
 from clsim.tracks.basis import GRIDS, IN_CACHE, Band, Sample
 from clsim.tracks.tracks import SceneTracks, Tracks
@@ -35,6 +37,7 @@ _PER_DISTANCE = 12  # instants for ends that go as far as they are apart at leas
 _BEYOND = 0.02  # s after the end of a run up to which nodes lie that its last blocks are made of
 _MOST_TIMES = 256  # of a pair by things whose field changes with every direction: 24 miss its lobes
 _TOGETHER = 512  # responses that are worked on together
+LEAST_JUMP = 1e-4  # rad/s, of the angular velocity, below which it counts as smooth
 _MOST_PAIRS = 16  # pairs of source and receiver looked at
 _MOST_PATHS = 1024  # of each: of more, the loudest half of so many, and as many of the others
 _LATEST = 0.012  # s between the earliest and the latest of responses that can be told
@@ -277,6 +280,40 @@ def _picked(level: Floats, count: int, rng: np.random.Generator) -> tuple[NDArra
     return emitting[at], 1.0 / chance[at]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class OnwardTurning:
+    """A turning that goes on at its last angular velocity beyond two times, s."""
+
+    turning: Turning
+    first: float
+    last: float
+
+    turns = property(lambda self: self.turning.turns)
+    peak = property(lambda self: self.turning.peak)
+    breaks = property(lambda self: self.turning.breaks)
+
+    def lever(self, points: Floats) -> float:
+        return self.turning.lever(points)
+
+    def orientation(self, time: Floats) -> Floats:
+        known = np.clip(time, self.first, self.last)
+        half = 0.5 * self.angular_velocity(time) * (time - known)[..., None]
+        angle = np.linalg.norm(half, axis=-1, keepdims=True)
+        turn = np.concatenate([np.sinc(angle / math.pi) * half, np.cos(angle)], axis=-1)
+        return quaternion_product(turn, self.turning.orientation(known))
+
+    def angular_velocity(self, time: Floats) -> Floats:
+        return self.turning.angular_velocity(np.clip(time, self.first, np.nextafter(self.last, -np.inf)))
+
+
+def turn_jumps(motion: Motion, least: float = LEAST_JUMP) -> Floats:
+    """Return times (k,) between start and end at which the angular velocity jumps by at least so much, rad/s, s."""
+    times = np.empty(0) if motion.turning is None else motion.turning.breaks
+    times = times[(times > motion.start) & (times < motion.end)]
+    before, after = (motion.angular_velocity(at) for at in (np.nextafter(times, -np.inf), times))
+    return np.asarray(times[np.linalg.norm(after - before, axis=-1) > least])
+
+
 def continued(tracks: SceneTracks, seconds: float) -> SceneTracks:
     """Return the same tracks between ends that move on at either side, s: silent, they may leave the room."""
     ends: dict[str, Any] = {"sources": tracks.scene.sources, "receivers": tracks.scene.receivers}
@@ -288,6 +325,8 @@ def _end(end: Source | Receiver, seconds: float) -> Source | Receiver:
     made, motion = copy(end), end.trajectory
     if motion.end != np.inf:
         curve = onward(motion.curve, motion.start - CONTINUATION, motion.end + CONTINUATION)
-        longer = replace(motion, curve=curve, start=motion.start - seconds, end=motion.end + seconds)
+        turning = None if motion.turning is None else OnwardTurning(motion.turning, motion.start, motion.end)
+        begin, stop = motion.start - seconds, motion.end + seconds
+        longer = replace(motion, curve=curve, turning=turning, start=begin, end=stop)
         object.__setattr__(made, "trajectory", longer)
     return made

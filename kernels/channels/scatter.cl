@@ -11,7 +11,6 @@
 #define ENVELOPE (DELAY_TERMS == 8)
 #define NODES_IN_UNIT (2 - ENVELOPE)
 #define UNITS (TOGETHER / NODES_IN_UNIT)
-#define FLOATS_OF(x) (AS_VEC((x) + ROUNDING_BITS) - ROUNDING)  // small whole numbers, see rounding.h
 // The grid of a node of an item, of one of FUNCTIONS gains.
 #define GRID_OF(node, k) \
     (grids + (((node) / NODES_IN_UNIT * FUNCTIONS + (k)) * 2 + (node) % NODES_IN_UNIT) * (long)points)
@@ -73,14 +72,7 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
                         vec cosine, sine;
                         half_turns(rest * half_turns_per_sample + *(loose_vec*)turn, &cosine, &sine);
 #endif
-                        // A third of whole numbers, rounded down: products of floats are right to a sixth.
-                        const ivec samples = *(__global const loose_ivec*)whole - first;
-                        const ivec thirds = nearest(FLOATS_OF(samples - 1) * 0.333333333f);
-                        const vec place = (FLOATS_OF(samples - 3 * thirds) + (rest + shift)) * 1.33333333f, down = rounded(place - 0.5f);
-                        const vec fine = (place - down) * (float)PHASES, left = rounded(fine - 0.5f);
-                        *(loose_ivec*)(at + i) = 4 * thirds + nearest(down) - (TAPS / 2 - 1);
-                        *(loose_ivec*)(phase + i) = nearest(left) + 1;
-                        *(loose_vec*)(between + i) = fine - left;
+                        find_places(*(__global const loose_ivec*)whole - first, rest + shift, at + i, phase + i, between + i);
 #if TAPERED
                         const float sample = node_sample[first_node + node];
                         const vec share = taken(sample - LOAD(rise + from + i), sample - LOAD(fall + from + i), per_half, terms);

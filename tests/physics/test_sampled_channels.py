@@ -134,7 +134,7 @@ MUTANTS = {
     "delays of the block's beginning": ("LOAD(c + 3 * BESIDE), t);", "LOAD(c + 3 * BESIDE), -1.0f);"),
     "gains of the block's beginning": ("LOAD(g + 3 * power), t);", "LOAD(g + 3 * power), -1.0f);"),
     "a point beside three samples": ("4 * thirds + nearest", "3 * thirds + nearest"),
-    "one sample for a point": ("(rest + shift)) * 1.33333333f", "(rest + shift)) * 1.0f"),
+    "one sample for a point": ("+ rest) * 1.33333333f", "+ rest) * 1.0f"),
     "nothing between phases": ("* between[i]", "* 0.0f"),
     "the next phase": ("nearest(left) + 1;", "nearest(left) + 2;"),
     "the next point": ("- (TAPS / 2 - 1)", "- (TAPS / 2)"),

@@ -14,9 +14,14 @@ from clsim.arrays import Floats
 from clsim.paths.family import PairPaths
 from clsim.render.channel_grid import NODES, node_window
 from clsim.render.methods.costs import passes, passing_times
+from clsim.render.methods.ear_components import Heads
 from clsim.render.plan import BLOCKS, FINE, PairPart
 from clsim.render.source_filters import Emission, SourceFilters
+from clsim.scene.directivity.directivity import ChannelDirectivity
+from clsim.scene.directivity.patterns import Omni
+from clsim.scene.ends import Receiver, Source
 from clsim.tracks.basis import flat_basis
+from clsim.tracks.sampled import LEAST_JUMP, turn_jumps
 from clsim.tracks.splines import REACH, Pieces, Rows
 from clsim.tracks.tracks import SceneTracks, clock_time
 
@@ -25,6 +30,8 @@ _STEADY = 2500  # samples of a taper from which on lines hold its weight over a 
 _CUT_STEP = 4e-3  # s between times at which delays are looked at about a jump, and between which they are lines
 _A_CHANNEL = 0.1  # of a path's processor time, for each channel beside the first: 4 to 16 were measured
 _EVALUATED_AT = (4, 8, 32)  # pairs, paths of each, and instants of all pairs: the error over time is measured there
+_LEAST_JUMP = 0.03  # rad/s, of beams: aims that follow a motion have jumps of some 0.02 rad/s
+MOST_JUMPS = 64  # of the angular velocity of an end, that are cut out
 _INSTANTS = 64  # at which distances of paths are looked at
 _FEW = 64  # paths, about, that tell what all cost
 _NEAR = 2.0  # distances from which a path is taken for near, over the least that is allowed
@@ -81,9 +88,9 @@ class Splitter:
     def of(cls, emission: Emission, tracks: SceneTracks, pairs: list[int]) -> Splitter:
         pieces = {}
         for i in pairs:
-            member, cuts = tracks.pairs[i], _cuts(tracks, i)
-            if cuts.shape[1] or not member.always_audible:
-                pieces[i] = Pieces.of(member.start, member.end, cuts, emission.until)
+            member, jumps = tracks.pairs[i], cuts(tracks, i)
+            if jumps.shape[1] or not member.always_audible:
+                pieces[i] = Pieces.of(member.start, member.end, jumps, emission.until)
         return cls(emission, tracks, tuple(pairs), pieces)
 
     def summed(self, pairs: tuple[int, ...]) -> float:
@@ -134,12 +141,22 @@ class Splitter:
         return found
 
 
-def _cuts(tracks: SceneTracks, pair: int) -> Floats:
+def sudden_times(end: Source | Receiver) -> Floats:
+    """Return times (k,) at which the velocity of an end jumps, or that of its turning if it has a directivity, s."""
+    directivity = end.directivity
+    heads = isinstance(directivity, ChannelDirectivity) and not directivity.by_functions
+    jumps = turn_jumps(end.trajectory, LEAST_JUMP if heads else _LEAST_JUMP)
+    jumps = jumps[:0] if type(directivity) is Omni else jumps
+    # Many are small, and near each other: measuring between nodes tells if they matter.
+    return np.union1d(end.trajectory.breaks, jumps if len(jumps) <= MOST_JUMPS else jumps[:0])
+
+
+def cuts(tracks: SceneTracks, pair: int) -> Floats:
     """Return the times (paths, Q) by the receiver's clock at which jumps of velocity are received, s."""
     paths = tracks.pair_paths[pair]
     receiver, source = tracks.scene.receivers[paths.receiver], tracks.scene.sources[paths.source]
-    at = [np.tile(receiver.trajectory.breaks, (len(paths), 1))]
-    for jump in source.trajectory.breaks.tolist():
+    at = [np.tile(sudden_times(receiver), (len(paths), 1))]
+    for jump in sudden_times(source).tolist():
         at.append(_received(tracks, paths, jump) if tracks.kinematics.retarded else np.full((len(paths), 1), jump))
     return clock_time(receiver, np.concatenate(at, axis=1))
 
@@ -157,8 +174,9 @@ def _received(tracks: SceneTracks, paths: PairPaths, emitted: float) -> Floats:
 
 
 def node_error_db(
-    tracks: SceneTracks, emission: Emission, filters: SourceFilters, pairs: tuple[int, ...], spacing: int
-) -> float:
+    tracks: SceneTracks, emission: Emission, filters: SourceFilters, pairs: tuple[int, ...], spacing: int,
+    heads: Heads | None = None,
+) -> float:  # fmt: skip
     """Measure the error between nodes at the end of the band, relative to responses, dB, by a few active paths."""
     rate = filters.rate
     rng, window = np.random.default_rng(emission.source), node_window(spacing)
@@ -179,7 +197,10 @@ def node_error_db(
         times = np.concatenate([whole * spacing, whole[:, NODES - 1, None] * spacing + within[:, None]], axis=1) / rate
         delay, _, gain = tracks.evaluate(pair, times.ravel(), flat_basis(filters.band), rows)
         gain = gain if tapers is None else gain * tapers.part(rows).weights(times.ravel())
-        turned = (gain[0, 0] * np.exp(-2j * math.pi * filters.band * delay)).reshape(len(rows), count, -1)
+        turned = gain[0, 0] * np.exp(-2j * math.pi * filters.band * delay)
+        if heads is not None:
+            turned = turned * heads.responses(tracks.pair_paths[pair].part(rows), tracks, times.ravel(), filters.band)
+        turned = turned.reshape(-1, count, times.shape[1])
         apart = np.einsum("pin,in->pi", turned[..., :-1], weights) - turned[..., -1]
         wrong += float(np.max(np.sum(np.abs(apart) ** 2, axis=0)))
         loud += float(np.mean(np.sum(np.abs(turned[..., -1]) ** 2, axis=0)))

@@ -39,6 +39,11 @@ class Costs:
     channel_point: float
     channel_nodes: float
     stretch: float
+    ear: float
+    ear_component: float
+    ear_point: float
+    ear_filter: float
+    ear_planned: float
     gpu: float
 
 
@@ -46,7 +51,7 @@ class Costs:
 def measured_costs() -> Costs:
     """Return the costs of this installation."""
     content = tomllib.loads(FILE.read_text("utf-8"))
-    return Costs(**content["nanoseconds"], **content["narrow"], **content["times"])
+    return Costs(**content["nanoseconds"], **content["ears"], **content["narrow"], **content["times"])
 
 
 def on_gpu(options: RenderOptions) -> bool:

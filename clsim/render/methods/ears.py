@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import product
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Complexes, Floats
+from clsim.arrays import Floats
 from clsim.numerics.blas import with_blas_threads
 from clsim.paths.family import PairPaths
 from clsim.paths.response import to_transducer_frame
 from clsim.render.contributions import Stateless, digest_of
+from clsim.render.methods import sampled_channel
+from clsim.render.methods.channel_split import cuts
+from clsim.render.methods.ear_channel import EarChannelEngine
+from clsim.render.methods.ear_components import Heads, may_be_cheaper
+from clsim.render.methods.ear_responses import BEFORE, LAGRANGE, between_jumps, ear_responses, lagrange_weights
 from clsim.render.methods.per_sample import PathSum, path_pressures
+from clsim.render.methods.sampled_channel import SampledChannels
 from clsim.render.opencl.batches import Fades
+from clsim.render.opencl.channel_engine import TaperedRun
 from clsim.render.opencl.engine import OpenclEngine, Run
 from clsim.render.opencl.host_nodes import side_by_side
 from clsim.render.options import RenderOptions
@@ -31,85 +36,10 @@ from clsim.scene.scene import Scene
 from clsim.scene.signal.signal import Signal
 from clsim.tracks.tracks import SceneTracks, Tracks
 
-_NODES, _BEFORE = 6, 2  # from which responses between two of them are made, and how many lie before both
 _SPACINGS = (4608, 3072, 2304, 1536, 1024, 768, 512, 384, 256, 192, 128, 96, 64)  # samples, divisors of a segment
 _EVERY = 192  # samples, after which directions are looked at before a spacing is chosen
-_TURNS = (0.025, 0.0175, 0.0125, 0.00875, 0.006, 0.004)  # rad between nodes, tried in this order
 _SPARE = 1.1  # times that angle, up to which nodes beside a segment may lie apart
-_TURN_ERROR_DB = -92.0  # of responses between nodes, relative to them, over random great circles
-_CIRCLES = 24
-_SIZES = (2048, 8192, 32768, 131072)  # samples in which impulse responses are looked for
-_FADE = 1.0 / 12.0  # of the sampling rate, over which responses fade out above the band
-_POWERS = 16  # of a bin's phase factor that are worked out at a time
-_QUIET = 1e-10  # of their energy, that is cut off at either end
 _AT_ONCE = 32  # paths of a segment that are filtered at a time
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class EarResponses:
-    """Responses of a receiver's channels within a band at a sampling rate."""
-
-    directivity: ChannelDirectivity
-    speed_of_sound: float  # m/s
-    rate: float  # Hz
-    band: float  # Hz, from which on to half the sampling rate responses are faded out
-    before: int  # samples that a response lasts before the centre's time
-    after: int
-    turn: float  # rad from node to node
-
-    def spectra(self, directions: Floats, size: int, kind: Any) -> Complexes:
-        """Return the responses (..., C, F) of a kind of number at a transform's first bins, by direction (..., 3)."""
-        step, end = self.rate / size, min(self.band + _FADE * self.rate, 0.5 * self.rate)
-        share = (step * np.arange(math.ceil(end / step)) - self.band) / (end - self.band)
-        fade = np.cos(0.5 * math.pi * np.clip(share, 0.0, 1.0)) ** 2
-        return self.at_multiples(directions, step, fade.astype(np.empty(0, kind).real.dtype))
-
-    def at_multiples(self, directions: Floats, step: float, weights: Floats) -> Complexes:
-        """Return weighted responses (..., C, F) at multiples of a frequency from 0 Hz on, by direction (..., 3)."""
-        count, directivity, c = len(weights), self.directivity, self.speed_of_sound
-        frequencies = np.clip(step * np.arange(count), *directivity.band)
-        gain = directivity.aligned(directions, frequencies, c, range(len(directivity.channels)))
-        angle = -2.0j * math.pi * step * directivity.lateness(directions, c)[..., None]
-        # Products of few powers: exponential functions would take most of the time.
-        coarse, fine = (np.exp(angle * k) for k in (_POWERS * np.arange(-(-count // _POWERS)), np.arange(_POWERS)))
-        kind = np.result_type(weights, np.complex64)
-        turned = coarse.astype(kind)[..., None] * fine.astype(kind)[..., None, :]
-        out = turned.reshape(*angle.shape[:-1], -1)[..., :count] * weights
-        out *= np.moveaxis(gain, 0, -2)
-        return np.asarray(out)
-
-
-@lru_cache(maxsize=32)
-def ear_responses(directivity: ChannelDirectivity, speed_of_sound: float, rate: float, band: float) -> EarResponses:
-    """Return a receiver's responses, with their length and the angle between nodes as measured at some directions."""
-    from scipy.fft import irfft
-
-    drawn = np.random.default_rng(0).standard_normal((2, _CIRCLES, 3))
-    axis = drawn[0] / np.linalg.norm(drawn[0], axis=1, keepdims=True)
-    across = np.cross(axis, drawn[1])
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    made = EarResponses(directivity, speed_of_sound, rate, min(band, 0.49 * rate), 0, 0, 0.0)
-    for size in _SIZES:
-        impulses = irfft(made.spectra(axis, size, np.complex128), size, axis=-1)
-        energy = np.cumsum(np.roll(np.sum(impulses**2, axis=(0, 1)), size // 2))
-        edges = np.searchsorted(energy, energy[-1] * np.array([_QUIET, 1.0 - _QUIET])) - size // 2
-        if np.abs(edges).max() < 0.4 * size:
-            break
-    for turn in _TURNS:
-        angle = turn * np.append(np.arange(_NODES) - 1.0 * _BEFORE, 0.5)[:, None]
-        towards = axis[:, None] * np.cos(angle) + across[:, None] * np.sin(angle)
-        found = made.at_multiples(towards, made.band / 64, np.ones(65))  # (circles, nodes, C, F)
-        wrong = np.tensordot(found[:, :-1], _weights(np.array([_BEFORE + 0.5]))[:, 0], ([1], [0])) - found[:, -1]
-        if np.linalg.norm(wrong) <= 10 ** (_TURN_ERROR_DB / 20.0) * np.linalg.norm(found[:, -1]):
-            break
-    return replace(made, before=max(int(-edges[0]), 0), after=max(int(edges[1]), 0), turn=turn)
-
-
-def _weights(places: Floats) -> Floats:
-    """Return Lagrange's weights (_NODES, n) of nodes 0, 1 and so on at places (n,)."""
-    nodes, same = np.arange(_NODES), np.eye(_NODES)[..., None]
-    factors = (places - nodes[:, None]) / np.where(same, 1.0, (nodes[:, None] - nodes)[..., None])
-    return np.asarray(np.where(same, 1.0, factors).prod(axis=1))
 
 
 def _largest_step(directions: Floats) -> float:
@@ -132,6 +62,7 @@ class EarFrames:
                 for r in sorted({pair.receiver for pair in plan.tracks.pairs})
             }
 
+        self._known: dict[int, Floats] = {}
         # Samples that responses last before the centre's time, and behind it.
         self.before = max(ears.before for ears in self._ears.values())
         self.after = max(ears.after for ears in self._ears.values())
@@ -139,14 +70,17 @@ class EarFrames:
     def add(self, pair: int, rows: NDArray[np.int64], signals: NDArray[Any], first: int) -> None:
         """Add the signals (P, n) of some paths of a pair at the centre, from a sample on, the first of a segment."""
         active, paths = np.flatnonzero(np.any(signals, axis=1)), self._tracks.pair_paths[pair]
+        jumps = self._jumps(pair)[rows]
 
-        def filtered(part: tuple[int, int]) -> tuple[int, NDArray[Any]]:
+        def filtered(part: tuple[int, int]) -> list[tuple[int, NDArray[Any]]]:
             at, some = part[0], active[part[1] : part[1] + _AT_ONCE]
-            return self._filtered(paths.part(rows[some]), signals[some, at : at + self.plan.segment], first + at)
+            here = signals[some, at : at + self.plan.segment]
+            pieces = between_jumps(jumps[some], first + at, here.shape[1])
+            return [self._filtered(paths.part(rows[some]), here, first + at, piece) for piece in pieces]
 
         parts = list(product(range(0, signals.shape[1], self.plan.segment), range(0, len(active), _AT_ONCE)))
         with with_blas_threads(1):  # each part has a thread of its own
-            found = side_by_side(filtered, parts)
+            found = [one for several in side_by_side(filtered, parts) for one in several]
         row = int(self._rows[paths.receiver])
         for begin, received in found:
             low, high = max(begin, self._start), min(begin + received.shape[1], self._start + self._pressure.shape[1])
@@ -154,20 +88,34 @@ class EarFrames:
                 into = self._pressure[row : row + len(received), low - self._start : high - self._start]
                 into += received[:, low - begin : high - begin]
 
-    def _filtered(self, paths: PairPaths, signals: NDArray[Any], first: int) -> tuple[int, NDArray[Any]]:
-        """Return a first sample, and from there the sound (C, n) of signals (P, n) through the channels' responses."""
+    def _jumps(self, pair: int) -> Floats:
+        """Return the samples (P, Q) at which the directions of a pair's paths change suddenly, in order."""
+        if pair not in self._known:
+            self._known[pair] = np.sort(cuts(self._tracks, pair), axis=1) * self.plan.sampling_rate
+        return self._known[pair]
+
+    def _filtered(
+        self, paths: PairPaths, signals: NDArray[Any], first: int, piece: Floats | None
+    ) -> tuple[int, NDArray[Any]]:
+        """Return a first sample, and from there the sound (C, n) of signals (P, n) through the channels' responses.
+
+        piece: samples (P, 2) between which signals are taken, and directions are known.
+        """
         from scipy.fft import irfft, next_fast_len, rfft
 
         ears, count, wide = self._ears[paths.receiver], signals.shape[1], np.result_type(signals.dtype, np.complex64)
-        spacing, towards = self._nodes(paths, ears.turn, first, count)
+        spacing, towards = self._nodes(paths, ears.turn, first, count, piece)
+        if piece is not None:
+            places = first + np.arange(count)
+            signals = signals * ((places >= piece[:, :1]) & (places < piece[:, 1:]))
         blocks = -(-count // spacing)
         size = next_fast_len(spacing + ears.before + ears.after, real=True)
         responses = ears.spectra(towards, size, wide)  # (P, nodes, C, F)
         cut = np.zeros((len(signals), blocks, spacing), signals.dtype)
         cut.reshape(len(signals), -1)[:, :count] = signals
-        weights = _weights(_BEFORE + np.arange(spacing) / spacing).astype(signals.dtype)
+        weights = lagrange_weights(BEFORE + np.arange(spacing) / spacing).astype(signals.dtype)
         total = np.zeros((blocks, *responses.shape[2:]), wide)
-        for k in range(_NODES):
+        for k in range(LAGRANGE):
             sounds = rfft(cut * weights[k], size)[..., : total.shape[-1]]
             for sound, response in zip(sounds, responses[:, k : k + blocks], strict=True):
                 total += sound[:, None] * response
@@ -176,31 +124,38 @@ class EarFrames:
             out[:, b * spacing : b * spacing + size] += received
         return first - ears.before, out
 
-    def _nodes(self, paths: PairPaths, turn: float, first: int, count: int) -> tuple[int, Floats]:
+    def _nodes(self, paths: PairPaths, turn: float, first: int, count: int, piece: Floats | None) -> tuple[int, Floats]:
         """Return the spacing of nodes for a segment, samples, and directions (P, nodes, 3) that turn little between."""
         towards, _ = self._directions(paths, first + _EVERY * np.arange(-(-count // _EVERY) + 1))
         fastest = _largest_step(towards) / _EVERY
         for spacing in _SPACINGS:
             if spacing * fastest <= turn or spacing == _SPACINGS[-1]:
-                near = first // spacing - _BEFORE + np.arange(-_NODES, -(-count // spacing) + 2 * _NODES - 1)
+                near = first // spacing - BEFORE + np.arange(-LAGRANGE, -(-count // spacing) + 2 * LAGRANGE - 1)
                 # Nodes at either end tell how motions go on beyond their ends.
-                nodes = self._continued(paths, spacing * near)[:, _NODES:-_NODES]
-                if _largest_step(nodes) <= _SPARE * turn:
+                found, enough = self._continued(paths, spacing * near, piece)
+                nodes = found[:, LAGRANGE:-LAGRANGE]
+                if enough and _largest_step(nodes) <= _SPARE * turn:
                     break
         return spacing, nodes
 
-    def _continued(self, paths: PairPaths, samples: NDArray[np.int64]) -> Floats:
-        """Return directions (P, n, 3) at evenly spaced samples, beyond the ends of motions as these would go on."""
+    def _continued(self, paths: PairPaths, samples: NDArray[np.int64], piece: Floats | None) -> tuple[Floats, bool]:
+        """Return directions (P, n, 3) at evenly spaced samples, beyond the ends of motions as these would go on.
+
+        Also test if enough of them are known for that.
+        """
         towards, known = self._directions(paths, samples)
+        if piece is not None:
+            known &= (samples >= piece[:, :1]) & (samples <= piece[:, 1:])
+        count = np.count_nonzero(known, axis=1)
         for own, inside in zip(towards, known, strict=True):
-            if inside.all() or inside.sum() < _NODES:
+            if inside.all() or np.count_nonzero(inside) < LAGRANGE:
                 continue
             first, last = np.flatnonzero(inside)[[0, -1]]
             for edge, step, count in ((first, 1, first), (last, -1, len(own) - 1 - last)):
-                beyond = np.minimum(np.arange(count) + 1, _NODES)
-                made = _weights(-1.0 * beyond).T @ own[edge + step * np.arange(_NODES)]
+                beyond = np.minimum(np.arange(count) + 1, LAGRANGE)
+                made = lagrange_weights(-1.0 * beyond).T @ own[edge + step * np.arange(LAGRANGE)]
                 own[edge - step * (np.arange(count) + 1)] = made / np.linalg.norm(made, axis=1, keepdims=True)
-        return towards
+        return towards, not np.any((count > 0) & (count < min(LAGRANGE, len(samples))))
 
     def _directions(self, paths: PairPaths, samples: NDArray[np.int64]) -> tuple[Floats, NDArray[np.bool_]]:
         """Return directions (P, n, 3) of arrival in the receiver's frame, and if motions of both ends are known."""
@@ -211,6 +166,10 @@ class EarFrames:
         known = (found.emission_time >= emits.start) & (found.emission_time <= emits.end)
         known &= (now >= receiver.trajectory.start) & (now <= receiver.trajectory.end)
         return to_transducer_frame(receiver.orientation, now, np.nan_to_num(found.arrival)), known
+
+
+class _Centre(Omni):
+    """An omnidirectional receiver in place of one with ears, whose turning matters."""
 
 
 _BYTES = 64 * 2**20  # of path signals on the device at a time
@@ -231,7 +190,7 @@ def centre_tracks(tracks: SceneTracks, pairs: Sequence[int]) -> SceneTracks:
     """Return the tracks of pairs as an omnidirectional receiver at each receiver's centre has them."""
     receivers = [copy(receiver) for receiver in tracks.scene.receivers]
     for i in {tracks.pairs[pair].receiver for pair in pairs}:
-        object.__setattr__(receivers[i], "directivity", Omni())
+        object.__setattr__(receivers[i], "directivity", _Centre())
     once = {tracks.paths_of(pair): pair for pair in reversed(pairs)}  # both ears have the same paths
     centred = tracks.with_ends(receivers=receivers)
     made = centred.among(sorted(once.values()))
@@ -248,13 +207,26 @@ def parts_of(
     pairs = [i for i in range(len(tracks.pairs)) if i not in others and can(tracks, options, i) is None]
     if not pairs or tracks.of_scene is None:
         return ()
-    centres, until, made = centre_tracks(tracks.of_scene, pairs), samples / options.sampling_rate, []
+    centres, until, made, notes = (
+        centre_tracks(tracks.of_scene, pairs),
+        samples / options.sampling_rate,
+        [],
+        list[str](),
+    )
+    channels = list[tuple[int, sampled_channel.ChannelOffer]]()
     with with_blas_threads(1):
         for i, emitted in enumerate(emissions):
-            silent = all(pair.source != i for pair in centres.pairs)
-            emission = Emission.of(i, emitted, centres, options, until, centres, static=silent)
+            mine = [k for k, pair in enumerate(centres.pairs) if pair.source == i]
+            emission = Emission.of(i, emitted, centres, options, until, centres, static=not mine)
             made.append(emission.source_filters())
-    plan = plan_of_part(options, centres, Allocation(), tuple(made), samples)
+            if mine and (options.channels or (options.channels is None and may_be_cheaper(emission, made[-1], mine))):
+                heads = Heads.among(tracks.of_scene.scene, centres, made[-1:], options.sampling_rate)
+                offer, why = sampled_channel.offer(emission, made[-1], mine, heads)
+                notes += [why] if why else []
+                channels += [(i, offer)] if offer else []
+    filters = tuple(made)
+    sampled = sampled_channel.parts_of(channels, centres, filters, options, samples) if channels else {}
+    plan = plan_of_part(options, centres, Allocation(notes=tuple(notes), **sampled), filters, samples)
     return (PairPart(plan, frozenset(pairs)),)
 
 
@@ -275,14 +247,15 @@ class Ears:
         for part in self.plan.allocation.ears:
             ears = f"{len({pair.receiver for pair in part.plan.tracks.pairs})} receivers with ears"
             lines.append(f"{part.plan.path_count} paths to {ears}: each is filtered on its own")
-            lines += PathSum(part.plan).describe()
+            lines += [*part.plan.allocation.notes, *PathSum(part.plan).describe()]
+            lines += SampledChannels(part.plan).describe()
         return lines
 
     def digest(self) -> str:
         """Return a text that changes with any tap, and with the responses, of which some are looked at."""
         found, c = list[Any](), self.scene.air.speed_of_sound
         for part in self.plan.allocation.ears:
-            found.append(PathSum(part.plan).digest())
+            found += [PathSum(part.plan).digest(), SampledChannels(part.plan).digest()]
             for receiver in sorted({pair.receiver for pair in part.plan.tracks.pairs}):
                 ears = self.scene.receivers[receiver].directivity
                 some = np.clip(np.geomspace(100.0, 0.4 * part.plan.sampling_rate, 8), *ears.band)
@@ -294,26 +267,49 @@ class Ears:
 
 
 class _Adding(Stateless):
-    """Adds what ears receive; the engine starts with the first piece."""
+    """Adds what ears receive; the engines start with the first piece."""
 
     def __init__(self, ears: Ears) -> None:
         self._ears = ears
-        self.engines: list[EarEngine] = []
+        self._all: list[OpenclEngine] = []
 
     def add(self, pressure: NDArray[Any], start: int) -> None:
-        for i, part in enumerate(self._ears.plan.allocation.ears):
-            plan = part.plan
-            frames = EarFrames(plan, self._ears.scene, (self._ears.plan.first_rows, pressure), start)
-            begin = max(start - frames.after, 0) // plan.segment * plan.segment
-            # Whole segments but for the plan's last one, so that no bit depends on the chunks.
-            end = -(-(start + pressure.shape[1] + frames.before) // plan.segment) * plan.segment
-            end = min(end, plan.samples + frames.before)
-            if plan.options.engine == "reference":
-                _add_exactly(frames, begin, end)
-                continue
-            if len(self.engines) <= i:
-                self.engines.append(EarEngine(plan))
-            self.engines[i].filter(frames, begin, end)
+        for part in self._ears.plan.allocation.ears:
+            if not self._all and part.plan.options.engine != "reference":
+                self._all = _engines(part.plan, self._ears.scene)
+                self.engines = self._all[:1]
+                for engine in self._all[1:]:
+                    engine.shares(self._all[0])  # functions of frequency are made for all paths together
+            for engine in self._all:
+                if isinstance(engine, EarChannelEngine):
+                    engine.add_ears(self._ears.plan.first_rows, pressure, start)
+                elif isinstance(engine, EarEngine):
+                    self._filter(engine.plan, engine, pressure, start)
+            if not self._all:
+                self._filter(part.plan, None, pressure, start)
+
+    def _filter(self, plan: Plan, engine: EarEngine | None, pressure: NDArray[Any], start: int) -> None:
+        """Add paths that are filtered one by one."""
+        frames = EarFrames(plan, self._ears.scene, (self._ears.plan.first_rows, pressure), start)
+        begin = max(start - frames.after, 0) // plan.segment * plan.segment
+        # Whole segments but for the plan's last one, so that no bit depends on the chunks.
+        end = -(-(start + pressure.shape[1] + frames.before) // plan.segment) * plan.segment
+        end = min(end, plan.samples + frames.before)
+        if engine is None:
+            _add_exactly(frames, begin, end)
+        else:
+            engine.filter(frames, begin, end)
+
+
+def _engines(plan: Plan, scene: Scene) -> list[OpenclEngine]:
+    """Return the engines of paths that are filtered one by one, of sampled channels, and of what these leave."""
+    made: list[OpenclEngine] = [] if len(plan.allocation.claimed) == len(plan.tracks.pairs) else [EarEngine(plan)]
+    for part in plan.allocation.channels:
+        assert part.plan.tracks.of_scene is not None, "ears are those of scenes"
+        filters = [part.plan.source_filters[part.source]]
+        heads = Heads.among(scene, part.plan.tracks.of_scene, filters, plan.sampling_rate)
+        made.append(EarChannelEngine(part.plan, part.spacing, heads))
+    return made + [TaperedEarEngine(part.plan) for part in plan.allocation.beside]
 
 
 def _add_exactly(frames: EarFrames, begin: int, end: int) -> None:
@@ -336,7 +332,7 @@ class _EarRun(Run):
 
     def _fades(self, start: int, block: int, blocks: int) -> Fades | None:
         """Return the beginnings and ends of paths, each slot with a row of its own."""
-        fades = self._batch.fades(start, block, blocks)
+        fades = super()._fades(start, block, blocks)
         if fades is None:
             return None
         first = np.arange(len(fades.slot) + 1, dtype=np.int32)
@@ -371,6 +367,24 @@ class EarEngine(OpenclEngine):
     run = _EarRun
     frames: EarFrames
 
+    @property
+    def plan(self) -> Plan:
+        return self._plan
+
     def filter(self, frames: EarFrames, begin: int, end: int) -> None:
         self.frames = frames
         self.add(np.zeros((self._plan.row_count, end - begin), np.float32), begin)
+
+
+class _TaperedEarRun(_EarRun, TaperedRun):
+    """The same of what tapers leave of paths."""
+
+
+class TaperedEarEngine(EarEngine):
+    """Renders what sampled channels leave of paths, and has it filtered."""
+
+    run = _TaperedEarRun
+
+    def __init__(self, plan: Plan) -> None:
+        super().__init__(plan)
+        self.branch_signals.of_few = True

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from clsim.render.channel_grid import OVERSAMPLING, SPREAD_ERROR_DB, WIDEST, ChannelFilters, work_at_nodes
 from clsim.render.contributions import Stateless, digest_of
 from clsim.render.interpolator import Bandlimited
-from clsim.render.methods.channel_split import Split, Splitter, described_beside, node_error_db
+from clsim.render.methods.channel_split import Split, Splitter, described_beside, node_error_db, sudden_times
 from clsim.render.methods.costs import measured_costs, on_gpu
+from clsim.render.methods.ear_components import Heads
 from clsim.render.methods.per_sample import PER_SAMPLE, PathSum
 from clsim.render.opencl.channel_engine import ChannelEngine, TaperedEngine
 from clsim.render.options import RenderOptions
@@ -39,8 +40,13 @@ class ChannelOffer:
     error_db: float  # measured, of interpolation from node to node at the end of the band
 
 
-def offer(emission: Emission, filters: SourceFilters, pairs: list[int]) -> tuple[ChannelOffer | None, str]:
-    """Return the sampled channels of pairs of a source, None where the sum over paths is cheaper, and why not."""
+def offer(
+    emission: Emission, filters: SourceFilters, pairs: list[int], heads: Heads | None = None
+) -> tuple[ChannelOffer | None, str]:
+    """Return the sampled channels of pairs of a source, None where the sum over paths is cheaper, and why not.
+
+    heads: of receivers with ears, whose pairs have paths to their centres.
+    """
     options = emission.options
     mine = [pair for pair in pairs if can(emission.tracks, options, pair) is None]
     rate, silent = filters.rate, not len(emission.sound.energy)
@@ -51,18 +57,18 @@ def offer(emission: Emission, filters: SourceFilters, pairs: list[int]) -> tuple
     assert of_scene is not None, "channels are those of scenes"
     longest = of_scene.longest_delay(0.0, emission.until, emission.source)
     if not options.channels:
-        if not _may_be_cheaper(emission, filters, mine, longest):
+        if heads is None and not _may_be_cheaper(emission, filters, mine, longest):
             return None, ""
-        if not _cheaper(*Splitter.of_few(emission, of_scene, mine), filters, longest):
+        if not _cheaper(*Splitter.of_few(emission, of_scene, mine), filters, longest, heads):
             return None, ""
     splitter, error_db = Splitter.of(emission, of_scene, mine), -math.inf
     shift, level = emission.max_rate * filters.band, 10 ** (_allowed_db(options) / 20)
-    for margin, spacing in _cheaper(splitter, 1.0, filters, longest):
+    for margin, spacing in _cheaper(splitter, 1.0, filters, longest, heads):
         split = splitter.at(margin, splitter.near(shift, margin, level))
         if not split.pairs or (split.left and options.baseband is not None):
             continue
         tracks = continued(of_scene, 2.0 * longest + _BEYOND + 4.0 * LONG_BLOCKS[0] / rate).with_rows(split.taken)
-        error_db = node_error_db(tracks, emission, filters, split.pairs, spacing)
+        error_db = node_error_db(tracks, emission, filters, split.pairs, spacing, heads)
         if error_db <= _allowed_db(options):
             return ChannelOffer(split, tracks, spacing, error_db), ""
     if error_db == -math.inf:
@@ -85,7 +91,7 @@ def can(tracks: Tracks, options: RenderOptions, pair: int) -> str | None:
         return "what is in between moves"
     member = tracks.pairs[pair]
     ends = scene.sources[member.source], scene.receivers[member.receiver]
-    sudden = not member.always_audible or any(len(end.trajectory.breaks) for end in ends)
+    sudden = not member.always_audible or any(len(sudden_times(end)) for end in ends)
     return "paths by edges and scatterers begin, end or jump" if sudden and not family.is_specular else None
 
 
@@ -110,11 +116,13 @@ def _spacing(emission: Emission, filters: SourceFilters, margin: float) -> int:
     return math.floor(filters.rate / (2.0 * OVERSAMPLING * (_SPARE * shift + margin)))
 
 
-def _cheaper(splitter: Splitter, times: float, filters: SourceFilters, longest: float) -> list[tuple[float, int]]:
+def _cheaper(
+    splitter: Splitter, times: float, filters: SourceFilters, longest: float, heads: Heads | None
+) -> list[tuple[float, int]]:
     """Return margins, Hz, and spacings cheaper than the sum over `times` as many paths, or all if requested."""
     emission, known, found = splitter.emission, measured_costs(), []
     costs = known.channel_path, known.channel_function, known.channel_point, known.channel_nodes
-    rate = filters.rate
+    rate, of_path = filters.rate, filters.cost() if heads is None else heads.cost_of_path(filters)
     share = min(emission.signal.duration + longest, emission.until) / emission.until  # in which something is emitted
     for margin in _MARGINS:
         spacing = _spacing(emission, filters, margin)
@@ -122,12 +130,16 @@ def _cheaper(splitter: Splitter, times: float, filters: SourceFilters, longest: 
             break
         split = splitter.at(margin, {})
         paths, gains, rows = split.at_nodes(splitter.tracks, emission.until)
-        work = work_at_nodes(filters, (times * paths, times * gains, rows), spacing, longest, emission.until)
+        counts = times * paths, times * gains, rows
+        if heads is None:
+            work = work_at_nodes(filters, counts, spacing, longest, emission.until)
+            cost = sum(a * b for a, b in zip(work, costs, strict=True))
+        else:
+            cost = heads.cost_at_nodes(filters, counts, spacing, longest, emission.until)
         seconds, stretches = split.summed(emission.until)
-        cost = sum(a * b for a, b in zip(work, costs, strict=True))
-        cost += times * (filters.cost() * seconds * rate + known.stretch * stretches)
+        cost += times * (of_path * seconds * rate + known.stretch * stretches)
         whole = times * splitter.summed(split.pairs)
-        if emission.options.channels or cost + _PLANNED < _SURE * filters.cost() * rate * share * whole:
+        if emission.options.channels or cost + _PLANNED < _SURE * of_path * rate * share * whole:
             found.append((cost, margin, spacing))
     return [(margin, spacing) for _, margin, spacing in sorted(found)]
 

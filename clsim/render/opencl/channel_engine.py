@@ -64,7 +64,7 @@ class BatchTapers:
         return {"rise": rise, "fall": fall, "terms": TERMS, "per_half": self._per_half}
 
 
-class _TaperedRun(Run):
+class TaperedRun(Run):
     """Multiplies gains by what tapers leave before they are summed."""
 
     _trims: ClassVar[bool] = True
@@ -107,7 +107,7 @@ class _TaperedRun(Run):
 class TaperedEngine(OpenclEngine):
     """Renders what tapers leave of the paths of a plan."""
 
-    run = _TaperedRun
+    run = TaperedRun
 
     def __init__(self, plan: Plan) -> None:
         super().__init__(plan)
@@ -178,10 +178,10 @@ class ChannelEngine(OpenclEngine):
             received = [part for pair in here for part in pair.parts(most_paths)]
             for batch in in_batches(plan, received, self.kind, budget, block, apart=_APART):
                 task = ChannelTask(source, batch, branches, None, length, start, first, last, frames)
-                _ChannelRun(self, task).render()
+                self.run(self, task).render()
 
 
-class _ChannelRun(Run):
+class ChannelRun(Run):
     """Makes the responses of one batch of receivers at the nodes of some segments, and adds their sound."""
 
     _task: ChannelTask
@@ -219,14 +219,31 @@ class _ChannelRun(Run):
         for i in range(0, len(first_nodes), step):
             some = first_nodes[i : i + step], there[i : i + step]
             at = (some[0][:, None] + of_unit).ravel() * spacing - first
-            where = {
-                "node_block": np.where(some[1].ravel(), at // block + first_block, -1).astype(np.int32),
-                "node_place": (2.0 * (at % block) / block - 1.0).astype(np.float32), "nodes": len(at),
-                "node_sample": at.astype(np.float32), **self._tapers.arguments(first),
-                **frames.factors(some[0].tolist()),
-            }  # fmt: skip
+            where = self._where(at, first, block, first_block) | frames.factors(some[0].tolist())
+            where["node_block"] = np.where(some[1].ravel(), where["node_block"], -1).astype(np.int32)
             for k in range(0, len(rows), beside):
                 self._received(nodes, some, where, together, slice(k, min(k + beside, len(rows))))
+
+    def _where(self, at: NDArray[np.int64], first: int, block: int, first_block: int) -> dict[str, Any]:
+        """Return nodes, samples from the first one on, by their blocks and places there, as kernels take them."""
+        return {
+            "node_block": (at // block + first_block).astype(np.int32), "nodes": len(at),
+            "node_place": (2.0 * (at % block) / block - 1.0).astype(np.float32),
+            "node_sample": at.astype(np.float32), **self._tapers.arguments(first),
+        }  # fmt: skip
+
+    def _spreading(self) -> dict[str, Any]:
+        """Return where paths are spread over grids, as kernels take it."""
+        first, shift = self._task.frames.grid.first, self._plan.source_filters[self._source].bank.shift
+        whole = math.floor(shift)
+        return {"window": self._engine.window, "first": first - whole, "shift": shift - whole}
+
+    def _spread_constants(self, nodes: Any, functions: int) -> dict[str, int]:
+        """Return the constants of kernels that spread so many functions at a time."""
+        return {
+            "LANES": 8, "FUNCTIONS": functions, "PHASES": PHASES, "TAPS": TAPS, "TAPERED": int(self._tapers.there),
+            **CONSTANTS, **self._polynomial_constants(nodes),
+        }  # fmt: skip
 
     def _received(
         self, nodes: Any, units: tuple[NDArray[Any], NDArray[Any]], where: dict[str, Any], together: int,
@@ -237,25 +254,22 @@ class _ChannelRun(Run):
 
         engine, frames, rows = self._engine, self._task.frames, self._batch.row[receivers]
         filters, grid, nodes_in_unit = self._plan.source_filters[self._source], frames.grid, 2 if frames.is_real else 1
-        shift, positions = filters.bank.shift, len(frames.transform.lane_turns)
+        positions = len(frames.transform.lane_turns)
         of_function = 8 * together * positions * FINER
         some = next((n for n in _FUNCTIONS if n < 2 * self._gains and n * of_function <= _CACHED), 1)
         of_worker = 2 * together * positions * (some * FINER + self._channels * COARSER)
         workers = min(2 * thread_count(), len(units[0]) // together * len(rows))
         shape = len(units[0]), len(rows), self._channels, 2, len(frames.window) + 2 * FINER
         received = engine._scratch.take("received", 4 * math.prod(shape))
-        constants = {
-            "LANES": 8, "FUNCTIONS": some, "PHASES": PHASES, "TAPS": TAPS, "TOGETHER": together * nodes_in_unit,
-            "TAPERED": int(self._tapers.there), **CONSTANTS, **self._polynomial_constants(nodes),
-        }  # fmt: skip
+        constants = self._spread_constants(nodes, some) | {"TOGETHER": together * nodes_in_unit}
         engine._compiler.kernel("scatter", constants)(
             engine._queue, work(workers, group=1), delay=nodes.delay, polynomials=nodes.polynomials,
             slots=self._batch.count, functions=self._functions, channels=self._channels, **where,
             first_slot=self._batch.first_slot[receivers.start : receivers.stop + 1], receivers=len(rows),
-            window=engine.window, first=grid.first - math.floor(shift), shift=shift - math.floor(shift),
-            **self._turns(filters), count=grid.size // COARSER, **engine.tables(frames), first_sample=grid.span,
-            apart=grid.spacing * (nodes_in_unit - 1), length=len(frames.window), stride=shape[-1],
-            scratch=engine._scratch.take("grids", 4 * workers * of_worker), of_worker=of_worker, received=received,
+            **self._spreading(), **self._turns(filters), count=grid.size // COARSER, **engine.tables(frames),
+            first_sample=grid.span, apart=grid.spacing * (nodes_in_unit - 1), length=len(frames.window),
+            stride=shape[-1], scratch=engine._scratch.take("grids", 4 * workers * of_worker), of_worker=of_worker,
+            received=received,
         )  # fmt: skip
         mapped: Any = cl.enqueue_map_buffer(engine._queue, received, cl.map_flags.READ, 0, shape, np.dtype("f4"))[0]
         into = (rows[:, None] + np.arange(self._channels)).ravel()
@@ -281,3 +295,6 @@ def _units(nodes: list[int], in_unit: int, together: int) -> tuple[NDArray[np.in
     spare = -len(first) % together
     units, there = np.array(first + first[:1] * spare, np.int64), np.array(counts + [0] * spare)
     return units, np.arange(in_unit) < there[:, None]
+
+
+ChannelEngine.run = ChannelRun
