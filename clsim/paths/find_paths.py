@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, cast
 
@@ -75,8 +75,7 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
     63
     """
     levels, search = direct_levels(scene, options.direct), _Search(scene, options)
-    unscattered = search.unscattered()
-    found = (*unscattered, *search.scattered(unscattered))
+    found = (*search.unscattered(), *search.scattered())
     paths = PathSet(scene, found if np.all(levels == 1.0) else with_direct(found, levels))
     if scene.scatterers:
         warn_without_shadows(paths, options.scattering_order)
@@ -92,6 +91,7 @@ class _Search:
 
     scene: Scene
     options: PathOptions
+    plain: list[PathFamily] = field(default_factory=list)  # that meet no scatterer, once they are found
 
     def unscattered(self) -> tuple[PathFamily, ...]:
         """Find the paths that meet no scatterer."""
@@ -111,9 +111,10 @@ class _Search:
             found = (*found, bodies.paths(next(parts).notify))
             for of_bodies in OVER_BODIES[:edges]:
                 found = (*found, of_bodies(bodies, found))
+        self.plain.extend(found)
         return found
 
-    def scattered(self, unscattered: tuple[PathFamily, ...]) -> list[PathFamily]:
+    def scattered(self) -> list[PathFamily]:
         """Find the paths by scatterers, by walls alone and with faces of bodies, and shadows on paths by walls."""
         scene, search = self.scene, self.options
         if not scene.scatterers:
@@ -150,7 +151,7 @@ class _Search:
         elif search.diffraction and cut_off:
             warn("scatterers go behind edges, where their echoes end at once (edge_scattering=True lets them fade)")
         if any(scatterer.shape.outlined for scatterer in scene.scatterers):
-            found += [shaded_paths(scene, cast("Any", each), order) for each in unscattered if each.is_specular]
+            found += [shaded_paths(scene, cast("Any", each), order) for each in self.plain if each.is_specular]
         return found
 
 
