@@ -116,18 +116,19 @@ def _incidence_curvature(
 
 
 def capsule_field(
-    wave: Floats, aspects: Floats, outline: Outline | None = None, past: Complexes | float = 1.0
+    wave: Floats, aspects: Floats, outline: Outline | None = None, past: Complexes | float = 1.0, centre: float = 0.0
 ) -> Complexes:
     """Return the field of a rigid capsule over its strength.
 
-    Shapes: wave (F,) 1/m; aspects (..., 11), outlined (..., 22); result (..., F).
+    centre: that of the signal's band, see `silhouette_field`. Shapes: wave (F,) 1/m; aspects (..., 11), outlined (...,
+    22); result (..., F).
 
     Lobes by physical optics and, outlined, in the forward direction the field about the outline. Our own derivation.
     """
     lobes = _lobes(wave, aspects[..., :ASPECTS])
     if outline is None:
         return lobes
-    return silhouette.silhouette_field(outline, wave, aspects[..., ASPECTS:], lobes, past)
+    return silhouette.silhouette_field(outline, wave, centre, aspects[..., ASPECTS:], lobes, past)
 
 
 def _lobes(wave: Floats, aspects: Floats) -> Complexes:

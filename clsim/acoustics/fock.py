@@ -13,14 +13,14 @@ import scipy
 
 from clsim.arrays import Complexes, Floats
 
-FIRST, LAST, COUNT = -6.0, 14.0, 2001  # arguments of the table; between two of them it is linear, to 1e-5
+FIRST, LAST, COUNT = -6.0, 14.0, 4001  # arguments of the table; between two of them it is linear, to 3e-6
 # Pieces of the path of integration, from infinity: begin and end. On the ray the integrand falls for all arguments,
 # since it begins beyond their saddle points at -xi^2 / 4; on the axis it oscillates, and falls by 1e-10 up to 7.
 _TURN = np.exp(2j * math.pi / 3.0)
 _BEND = -0.25 * FIRST * FIRST
 _PIECES = (_BEND + 16.0 / _TURN, _BEND), (_BEND, 0.0), (0.0, 7.0)
 _NODES = 240
-_LIT = -0.5  # largest argument of `lit_reflection`, whose table is as long, to 2e-5
+_LIT = -0.5  # largest argument of `lit_reflection`, whose table is as long, to 5e-6
 
 
 def fock_hard(xi: Floats) -> Complexes:
@@ -57,8 +57,10 @@ def lit_reflection(xi: Floats) -> Complexes:
 
 @lru_cache(maxsize=1)
 def lit_table() -> Complexes:
-    """Table of `lit_reflection` at the arguments of `fock_table`; above -0.5 it is that there."""
-    xi = np.minimum(np.linspace(FIRST, LAST, COUNT), _LIT)
+    """Table of `lit_reflection` at the arguments of `fock_table`; from -1 to 0 it goes over to that at -0.5."""
+    xi = np.linspace(FIRST, LAST, COUNT)
+    u = np.clip(xi + 1.0, 0.0, 1.0)
+    xi = np.minimum(xi, -1.0) + u * (1.0 - u * u * (1.0 - 0.5 * u))
     turn = np.exp(1j * (0.75 * math.pi - xi**3 / 12.0))
     return np.asarray(np.sqrt(-4.0 / xi) * turn * (_exact(xi) - 0.5 / (math.sqrt(math.pi) * xi)))
 

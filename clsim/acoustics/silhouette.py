@@ -18,9 +18,8 @@ from clsim.arrays import Complexes, Floats
 from clsim.numerics.band_filters import chebyshev_points, interpolation
 
 ASPECTS = 11  # numbers that a field takes
-# The share of the outline in a path falls from 1 to 0 where it is reflected at these Fock parameters, or at these
-# cosines of the angle of incidence: beyond, the body is a mirror.
-FORWARD_FOCK = (-1.0, -2.0)
+# Cosines of the angle of incidence between which the share of the outline falls from 1 to 0: beyond, the body is a
+# mirror.
 FORWARD_COSINE = (0.25, 0.45)
 # Radii of the first Fresnel zone by which a line of sight passes a body: up to here its outline counts, beyond twice
 # it does not.
@@ -62,34 +61,41 @@ def silhouette_aspects(
     return strength, np.stack(columns, axis=1)
 
 
-def forward_share(wave: Floats, aspects: Floats) -> tuple[Floats, Floats]:
-    """Share (n, F) of the field about the outline, and Fock parameter (n, F) of the reflection; wave (F,) 1/m.
+def forward_share(outline: Outline, centre: float, source: Floats, receiver: Floats) -> Floats:
+    """Share (n, 1) of the field about an outline in what a body sends on; the rest of it is a mirror.
 
-    Beside the line of sight the way by the specular point is longer by half a wavelength times the square of the radii
-    of the first Fresnel zone.
+    centre: wave number in the middle of the signal's band, 1/m. Shapes: source, receiver (n, 3) m, in the body's frame.
+
+    With the distance h of the body from the line of sight, at d1 and d2 from the ends of that, the radius of the first
+    Fresnel zone is ``sqrt(2 pi d1 d2 / (k L))``, and sound reflected there is incident at ``cos theta = h L / (2 d1
+    d2)``, about. All frequencies have one share, so that neither field fades within the band.
     """
-    cosine, bend, detour = aspects[:, 8:9], aspects[:, 9:10], -aspects[:, 10:11]
-    fock = -2.0 * cosine * np.cbrt(0.5 * wave / bend)
-    zones = np.sqrt(np.maximum(detour, 0.0) * wave / math.pi)
-    share = faded(fock, FORWARD_FOCK) * faded(cosine, FORWARD_COSINE) * faded(zones, (WITHIN, 2.0 * WITHIN))
-    return np.where(cosine < 0.0, 1.0, share), np.asarray(fock)
+    clearance, place = (x[:, None] for x in outline.clearance(source, receiver))
+    twice = 2.0 * np.linalg.norm(receiver - source, axis=1)[:, None] * place * (1.0 - place)  # of d1 d2 / L
+    beyond = np.maximum(clearance, 0.0)
+    share = faded(beyond / np.maximum(twice, LEAST), FORWARD_COSINE)
+    zones = beyond * np.sqrt(centre / (math.pi * np.maximum(twice, LEAST)))
+    return np.asarray(share * faded(zones, (WITHIN, 2.0 * WITHIN)))
 
 
 def silhouette_field(
-    outline: Outline, wave: Floats, aspects: Floats, mirror: Complexes | float = 1.0, past: Complexes | float = 1.0
-) -> Complexes:
+    outline: Outline, wave: Floats, centre: float, aspects: Floats, mirror: Complexes | float = 1.0,
+    past: Complexes | float = 1.0,
+) -> Complexes:  # fmt: skip
     """Field of a smooth rigid body over its strength.
+
+    centre: wave number in the middle of the signal's band, 1/m.
 
     Shapes: wave (F,) 1/m; aspects (..., 11); mirror, a factor (..., F) of what is reflected; past, a factor (..., F) of
     the field about the outline, see `shade`; result (..., F).
 
     Near the forward direction it is the field about the outline, `outline_field`, elsewhere the specular reflection
-    times `lit_reflection`. One fades into the other in the penumbra (V. A. Fock's parameter ``(k R / 2)^(1/3) cos
-    theta`` from 0.5 to 1), and from one to two radii of the first Fresnel zone, where both hold. Our own derivation.
+    times `lit_reflection`. One fades into the other by `forward_share`, where both hold. Our own derivation.
     """
     flat = aspects.reshape(-1, ASPECTS)
-    share, fock = forward_share(wave, flat)
-    left = np.broadcast_to(np.asarray(past).reshape(-1, np.shape(past)[-1] if np.ndim(past) else 1), share.shape)
+    share = forward_share(outline, centre, flat[:, 0:3], flat[:, 3:6])
+    fock = -2.0 * flat[:, 8:9] * np.cbrt(0.5 * wave / flat[:, 9:10])
+    left = np.broadcast_to(np.asarray(past).reshape(-1, np.shape(past)[-1] if np.ndim(past) else 1), fock.shape)
     lit = flat[:, 7:8] * (1.0 - share) * lit_reflection(fock)
     found = lit * np.reshape(mirror, (-1, np.shape(mirror)[-1] if np.ndim(mirror) else 1))
     some = np.flatnonzero(share.any(axis=1) & left.any(axis=1))

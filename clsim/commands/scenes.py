@@ -20,6 +20,7 @@ from clsim.paths.path_table import view_scene
 from clsim.paths.without_edges import largest_jump_db
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.motion.trajectory import Trajectory
+from clsim.scene.placement import through_walls
 from clsim.scene.scene import Scene, shaded_pairs
 from clsim.scene_file import load_scene
 from clsim.scene_file.scene import SceneFile
@@ -52,7 +53,7 @@ def check(options: argparse.Namespace) -> int:
     if left is not None:
         remedy = ' (tail = "auto" adds it)' if left > -20.0 else ""
         of_plan.append(f"images leave {left:.0f} dB of the energy: higher orders, and what walls scatter{remedy}")
-    for line in [*shaded_pairs(scene, plan.duration), *of_plan]:
+    for line in [*shaded_pairs(scene, plan.duration), *through_walls(scene.room, scene.named_scatterers()), *of_plan]:
         print(line)
     for field, item in [*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()]:
         for note in [*_motion(item.trajectory), *item.trajectory.notes]:

@@ -97,7 +97,7 @@ _PATHS = (
 _FIELDS = (
     "nodes/prediction.h nodes/vertices/transition.h nodes/solve.h nodes/vertices/angles.h nodes/vertices/edge_end.h "
     "nodes/vertices/edge_field.h nodes/vertices/outline.h nodes/vertices/strings.h nodes/vertices/outline_field.h "
-    "nodes/vertices/shade.h nodes/vertices/silhouette.h nodes/vertices/capsule_field.h nodes/vertices/sphere.h "
+    "nodes/vertices/silhouette.h nodes/vertices/shade.h nodes/vertices/capsule_field.h nodes/vertices/sphere.h "
     "nodes/vertices/scattered_field.h nodes/legs/mirrored_field.h nodes/node_gains.h "
 )
 _RESPONSE = (

@@ -67,6 +67,7 @@ SUPPORT = {  # by `Chain.kind`
     "static edge scatterer edge": Support(
         "an edge, a scatterer and an edge", _IN_STILL_AIR, refusal=_EDGE_AND_SCATTERER
     ),
+    "static shade": Support("shadows on reflections", (DEVICE, DEVICE, REFUSED, REFUSED), "shades", _SCATTERERS),
     "moving": Support("bodies", (DEVICE, DEVICE, REFUSED, REFUSED), "bodies", _BODIES),
     "moving edge": Support("bodies and an edge", _BEHIND_BODIES, refusal=_BODIES),
     "moving exact edge": Support('bodies and an edge, `diffraction_model="btm"`', _BEHIND_BODIES, refusal=_BODIES),
@@ -89,6 +90,7 @@ _IDENTITIES = {
     "static scatterer edge": "vertices.edge_scatterer.ScattererEdgePaths",
     "static edge scatterer edge": "vertices.edge_scatterer.EdgeScattererEdgePaths",
     "static scatterer pair": "vertices.scatterer_pair.ScattererPairPaths",
+    "static shade": "vertices.shade.ShadedPaths",
     "moving": "moving.family.BodyPaths",
     "moving edge": "moving.edge_family.MovingEdgePaths",
     "moving exact edge": "moving.edge_family.MovingEdgePaths",
@@ -162,8 +164,8 @@ class Fades(ByRow):
 class Chain(PathFamily):
     """Paths of one kind of leg and of one kind of vertex."""
 
-    legs: tuple[Any, ...]  # one, or one before and one after the vertex
-    vertex: Any = None  # None for paths that are only reflected
+    legs: tuple[Any, ...]  # one before and one after the vertex, or a single one
+    vertex: Any = None  # None for paths that are only reflected; a shadow has a single leg
     level: Floats | None = None  # (paths,) pressure over that of the path's law; None for 1
     fades: Fades | None = None  # of paths over edges; None where none may fade
 
@@ -184,7 +186,7 @@ class Chain(PathFamily):
             yield field.name, getattr(self, field.name)
         moving = self.legs[0].moving
         alone = ("surfaces",) if moving else ("image",)
-        for leg, name in zip(self.legs, alone if self.vertex is None else ("before", "after"), strict=True):
+        for leg, name in zip(self.legs, alone if len(self.legs) == 1 else ("before", "after"), strict=True):
             yield from leg.named(name)
         if self.vertex is not None:
             yield from self.vertex.named(moving)
@@ -282,6 +284,15 @@ class Chain(PathFamily):
         if self.fades is not None:
             response = response * self.fades.part(rows).gain(self.start[rows], self.end[rows], times)[..., None]
         return response if self.level is None else response * self.level[rows][:, None, None]
+
+    @property
+    def adds(self) -> bool:
+        """Whether paths are shadows on others."""
+        return self.kind == "static shade"
+
+    def unshaded(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
+        """Return responses (P, T, F) of paths, of those in a shadow as without it."""
+        return (replace(self, vertex=None) if self.adds else self).response(rows, found, times, at)
 
     def vertices(self, rows: Rows, time: float, kinematics: Kinematics = RETARDED) -> Floats:
         """Return source, points of interaction and receiver (P, N + 2, 3) of paths of one pair."""

@@ -38,7 +38,7 @@ from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
 
 Rows = slice | NDArray[np.int64]  # of a kind of paths
-NONE, SPECULAR, DIFFRACTION, SCATTERING, BODY, TRANSMISSION = -1, 0, 1, 2, 3, 4  # kinds of interaction
+NONE, SPECULAR, DIFFRACTION, SCATTERING, BODY, TRANSMISSION, SHADOW = -1, 0, 1, 2, 3, 4, 5  # kinds of interaction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,8 +51,8 @@ class PathFamily(ABC):
     Attributes
     ----------
     interactions : ndarray (paths, N) int
-        Interactions in order from the source: `SPECULAR`, `DIFFRACTION`, `SCATTERING`, `BODY`, `TRANSMISSION`;
-        filled up with `NONE`.
+        Interactions in order from the source: `SPECULAR`, `DIFFRACTION`, `SCATTERING`, `BODY`, `TRANSMISSION`,
+        `SHADOW`; filled up with `NONE`.
     objects : ndarray (paths, N) int
         To which wall that happens (specular, transmission) or to which of `object_names`; filled up with -1.
     object_names : tuple of str
@@ -77,6 +77,10 @@ class PathFamily(ABC):
     @abstractmethod
     def response(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return received over emitted pressure at 1 m, (P, T, F), without the delay."""
+
+    def unshaded(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
+        """Return responses (P, T, F) relative to which errors count: those of paths, or of the paths in a shadow."""
+        return self.response(rows, found, times, at)
 
     def of_channels(self, paths: PairPaths, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return responses of the paths of a pair by channel of the receiver, (C, P, T, F)."""
@@ -152,6 +156,11 @@ class PathFamily(ABC):
     @property
     def shapes_channels(self) -> bool:
         """Whether responses of channels whose gains are the same at every frequency differ over frequency."""
+        return False
+
+    @property
+    def adds(self) -> bool:
+        """Whether paths are what others change by, relative to which errors count, see `unshaded`."""
         return False
 
     @property

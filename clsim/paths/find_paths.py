@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, cast
 
@@ -33,6 +33,7 @@ from clsim.paths.search.mesh import mesh_paths, report, resolution_of
 from clsim.paths.search.same_events import at_one_time
 from clsim.paths.search.scatterers import Side, scattered_paths, sides
 from clsim.paths.vertices.scatterer_pair import scatterer_pair_paths
+from clsim.paths.vertices.shade import shaded_paths
 from clsim.paths.without_edges import warn_without_edges, warn_without_shadows
 from clsim.plugins import PATH_FAMILIES, ROOMS, with_plugins
 from clsim.scene.placement import together
@@ -91,6 +92,7 @@ class _Search:
 
     scene: Scene
     options: PathOptions
+    plain: list[PathFamily] = field(default_factory=list)  # that meet no scatterer, once they are found
 
     def unscattered(self) -> tuple[PathFamily, ...]:
         """Find the paths that meet no scatterer."""
@@ -110,10 +112,13 @@ class _Search:
             found = (*found, bodies.paths(next(parts).notify))
             for of_bodies in OVER_BODIES[:edges]:
                 found = (*found, of_bodies(bodies, found))
-        return Fading(found, options.direct is True).families if edges and options.edge_fades else found
+        if edges and options.edge_fades:
+            found = Fading(found, options.direct is True).families
+        self.plain.extend(found)
+        return found
 
     def scattered(self) -> list[PathFamily]:
-        """Find the paths by scatterers: by walls alone, and with faces of bodies where there are any."""
+        """Find the paths by scatterers, by walls alone and with faces of bodies, and shadows on paths by walls."""
         scene, search = self.scene, self.options
         if not scene.scatterers:
             return []
@@ -148,6 +153,8 @@ class _Search:
             found += over
         elif search.diffraction and cut_off:
             warn("scatterers go behind edges, where their echoes end at once (edge_scattering=True lets them fade)")
+        if any(scatterer.shape.outlined for scatterer in scene.scatterers):
+            found += [shaded_paths(scene, cast("Any", each), order) for each in self.plain if each.is_specular]
         return found
 
 

@@ -57,7 +57,7 @@ class PathSet:
         Interval of reception in which the path is active, s.
     interactions : ndarray (paths, N) int
         Interactions in order from the source: 0 reflection by a wall, 1 diffraction, 2 scattering, 3
-        reflection by a body, 4 transmission through a wall; filled up with -1.
+        reflection by a body, 4 transmission through a wall, 5 (the last) shadows on all of the path; filled up with -1.
     objects : ndarray (paths, N) int
         Objects of the interactions, as indices of `object_names`, walls first; filled up with -1.
     walls : ndarray (paths, N) int

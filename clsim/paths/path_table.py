@@ -173,7 +173,7 @@ ATTRIBUTES: dict[str, dict[str, str]] = {
     "line_of_sight": {"long_name": "whether the direct sound is received"},
     "order": {"long_name": "number of interactions"},
     "objects": {"long_name": "what the path meets, from the source's side"},
-    "interactions": {"long_name": "0 specular reflection, 1 diffraction, 2 scattering, 3 body, 4 transmission"},
+    "interactions": {"long_name": "0 reflection, 1 diffraction, 2 scattering, 3 body, 4 transmission, 5 shadow"},
 }
 
 

@@ -358,9 +358,13 @@ class Split:
         """Return the gain of all band-stops at evenly spaced frequencies (F,) up to half the sampling rate."""
         return np.asarray(np.prod([band.left(frequencies) for band in self.bands], axis=0))
 
+    def within(self, error_db: float) -> Split:
+        """Return the same split for another error requested of the rendering."""
+        return replace(self, silence=10 ** ((error_db - MARGIN_DB) / 20))
+
     def rest_of(self, sound: ShortTimeSpectra, silent: float = _SILENT) -> ShortTimeSpectra:
         """Return the short-time spectra of the rest, relative to the whole, without windows in which it is silent."""
-        energy = sound.energy * self.left(sound.frequencies) ** 2
+        energy, silent = sound.energy * self.left(sound.frequencies) ** 2, max(silent, self.silence**2)
         loud = energy.sum(axis=1) > silent
         return ShortTimeSpectra(sound.frequencies, energy[loud], sound.weights[loud])
 
@@ -377,6 +381,7 @@ class RestFilters(SourceFilters):
     """Filters for what narrow parts leave of a source's signal; pairs at rest are convolved with all of it."""
 
     split: Split  # what is left out
+    silent: bool  # whether all of it is silent
 
     @property
     def filter_half(self) -> int:
@@ -408,13 +413,14 @@ class NarrowFilters(EnvelopeFilters):
 def design_split(emission: Emission, split: Split) -> tuple[RestFilters, tuple[NarrowFilters, ...]]:
     """Return the filters for what narrow parts leave of a source's signal, and for each of these."""
     emission = replace(emission, drawn=emission.drawn_for_bands)
-    rest = replace(emission, sound=split.rest_of(emission.sound)).source_filters()
+    rest_sound = split.rest_of(emission.sound)
+    rest = replace(emission, sound=rest_sound).source_filters()
     parts = []
     for band in split.bands:
         within = replace(emission.options, baseband=band.baseband, narrowband=None)
         part = envelope_filters(replace(emission, options=within), band.half, band.low_pass, -math.inf, tilted=True)
         parts.append(NarrowFilters(**_columns(part)))
-    return RestFilters(**_columns(rest), split=split), tuple(parts)
+    return RestFilters(**_columns(rest), split=split, silent=not len(rest_sound.energy)), tuple(parts)
 
 
 def _columns(made: SourceFilters) -> dict[str, Any]:

@@ -165,7 +165,8 @@ class Plan:
 
     def where_scattered(self, name: str, build: Callable[[Plan, str], Contribution]) -> Contribution | None:
         """Build a contribution by `build` of the plan of scatterers' pairs of a `name` if there are any, else None."""
-        return next((build(part.plan, name) for part in self.allocation.scattered if part.name == name), None)
+        parts = self.allocation.scattered
+        return next((build(part.plan, name) for part in parts if part.name == name and part.sounds), None)
 
     def where_left(self, build: Callable[[Plan], Contribution]) -> Contribution | None:
         """Build a contribution by `build` of the plan if other methods leave a pair, else None."""
@@ -349,7 +350,12 @@ class PairPart:
 class ScatteredPart(PairPart):
     """Pairs by scatterers of which the field varies over frequency."""
 
-    name: str  # of the contribution: "shadows" where scatterers have those of their outlines, else "scattered"
+    name: str  # of the contribution: "scattered" where fields are by approximate formulae, "series" for the others
+
+    @property
+    def sounds(self) -> bool:
+        """Whether narrow parts leave anything of a signal."""
+        return not all(getattr(filters, "silent", False) for filters in self.plan.source_filters)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -264,7 +264,9 @@ class Request:
                     notes += [why] if why else []
                     channels += [(i, offer)] if offer else []
                 else:
-                    if splits is not None:
+                    if costly:
+                        split = split.within(options.interpolator.error_db)
+                    elif splits is not None:
                         splits[i] = split
                     rest, bands = design_split(emission, split)
                     made.append(rest)
@@ -318,7 +320,7 @@ def moved_to(allocation: Allocation, device: str) -> Allocation:
 # What may add to the pressure, in the order in which it does. A new kind of contribution is one more function here.
 BUILDERS: list[Callable[[Plan], Contribution | None]] = [
     PER_SAMPLE,
-    *(methodcaller("where_scattered", name, per_sample.PathSum) for name in ("shadows", "scattered")),
+    *(methodcaller("where_scattered", name, per_sample.PathSum) for name in (per_sample.ECHOES, "series")),
     methodcaller("where_claimed", "narrow", narrow_part.NarrowParts),
     methodcaller("where_claimed", "convolved", static.StaticConvolution),
     methodcaller("where_claimed", "channels", sampled_channel.SampledChannels),

@@ -24,6 +24,7 @@ Placed = End | Scatterer
 
 _SCAN_RATE = 1000.0  # Hz, at which trajectories are checked against the room and the speed of sound
 _SCAN_BLOCK = 65536  # instants among which the nearest approach is sought
+_SEEN_AT = 301  # instants at which ellipsoids and capsules are
 _DEPTHS = 4096  # instants at which scatterers are compared with walls
 TOUCHING = 1e-3  # m; what is less deep in a wall touches it
 _SAME = 1e-9  # m, up to which two places count as one
@@ -147,6 +148,32 @@ def warn_of_walls(room: Room, scatterers: Sequence[tuple[str, Scatterer]]) -> No
                 f"{field_name}.trajectory: {scatterer.name!r} reaches {deep[i]:.3g} m into a wall at {times[i]:.6g} s; "
                 f"its sound is that of a sphere in the open air"
             )
+
+
+def through_walls(room: Room, scatterers: Sequence[tuple[str, Scatterer]]) -> list[str]:
+    """Describe ellipsoids and capsules whose middle line reaches through a wall, with the time and depth.
+
+    The line goes along the longest axis, as far as a sphere about it with the shortest one fits inside.
+    """
+    notes = []
+    for field_name, scatterer in scatterers:
+        axes, motion, (start, stop) = scatterer.shape.semi_axes, scatterer.trajectory, scatterer.time_range
+        if isinstance(scatterer.shape, SphereShape) or not axes.any() or not (room.is_convex or room.is_closed):
+            continue
+        times = np.linspace(start, stop, 1 if motion.is_static else _SEEN_AT)
+        line = np.zeros((3, 1, 3))
+        line[[0, 2], 0, int(axes.argmax())] = np.array([-1.0, 1.0]) * float(np.ptp(axes))
+        turned = rotate(motion.orientation(times)[None], line) if motion.has_orientation else line
+        flat = (motion.position(times) + turned).reshape(-1, 3)
+        outside = ~room.contains(flat)
+        deep = np.where(outside, np.abs(room.clearance(flat)), 0.0).reshape(3, -1).max(axis=0)
+        i = int(np.argmax(deep))
+        if deep[i] > TOUCHING:
+            depth = deep[i] + axes.min()
+            notes.append(
+                f"{field_name}.trajectory: {scatterer.name!r} reaches {depth:.3g} m through a wall at {times[i]:.6g} s"
+            )
+    return notes
 
 
 def _check_apart(field_name: str, scatterer: Scatterer, end: End, nearest: float) -> None:

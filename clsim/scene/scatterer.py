@@ -63,8 +63,8 @@ class Shape(Protocol):
     def strength(self, source: Floats, receiver: Floats, specular: SpecularPoint | None) -> tuple[Floats, Floats]:
         """Return scattering strength (n,) between endpoints (3, n), m, and arguments (n, aspects) of `field`."""
 
-    def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
-        """Return factor (..., F) of the strength at wave numbers (F,), 1/m; None for 1."""
+    def field(self, wave: Floats, centre: float, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
+        """Return factor (..., F) of the strength at wave numbers (F,), 1/m, about a central one; None for 1."""
 
     def largest(self, wave: Floats, nearest: Floats) -> Floats:
         """Return bounds (n, F) of the scattered pressure times the path length at wave numbers (F,), 1/m.
@@ -106,7 +106,7 @@ class PointShape:
         one = np.ones(source.shape[1])
         return self.strongest * one, one[:, None]
 
-    def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
+    def field(self, wave: Floats, centre: float, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
         return None
 
     def largest(self, wave: Floats, nearest: Floats) -> Floats:
@@ -156,10 +156,10 @@ class EllipsoidShape:
             return silhouette.silhouette_aspects((source, receiver), found, mirrored)
         return ellipsoid_strength(self.semi_axes, source, receiver, found), np.ones((source.shape[1], 1))
 
-    def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
+    def field(self, wave: Floats, centre: float, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
         """Return the reflection or, in the forward direction, the outline's field; None for geometrical optics."""
         if self.outlined:
-            return silhouette.silhouette_field(self.outline, wave, aspects, 1.0, past)
+            return silhouette.silhouette_field(self.outline, wave, centre, aspects, 1.0, past)
         return None
 
     def largest(self, wave: Floats, nearest: Floats) -> Floats:
@@ -196,7 +196,7 @@ class SphereShape:
             self.radius, source, receiver, specular or self.specular(source, receiver, None, 1.0)
         )
 
-    def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
+    def field(self, wave: Floats, centre: float, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
         self._check(wave)
         return sphere.sphere_field(self.radius * wave, aspects)
 
@@ -253,9 +253,9 @@ class CapsuleShape:
         found = specular or self.specular(source, receiver, None, 1.0)
         return capsule_aspects(self.cylinder_radius, self.length, source, receiver, found, self.outlined)
 
-    def field(self, wave: Floats, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
+    def field(self, wave: Floats, centre: float, aspects: Floats, past: Complexes | float = 1.0) -> Complexes | None:
         """Return the Fresnel integrals along it or, in the forward direction, the field about its outline."""
-        return capsule_field(wave, aspects, self.outline if self.outlined else None, past)
+        return capsule_field(wave, aspects, self.outline if self.outlined else None, past, centre)
 
     def largest(self, wave: Floats, nearest: Floats) -> Floats:
         """Return the bounds (n, F) of both ends and the whole of the side in phase."""

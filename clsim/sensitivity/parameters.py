@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.errors import InputError
-from clsim.paths.family import BODY, DIFFRACTION, SCATTERING, SPECULAR, TRANSMISSION, PathFamily
+from clsim.paths.family import BODY, DIFFRACTION, SCATTERING, SHADOW, SPECULAR, TRANSMISSION, PathFamily
 from clsim.paths.path_set import PathSet
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.motion.curves import Curve, Piecewise, Static, Straight, legs_through, spline_through
@@ -70,7 +70,7 @@ class Parameter:
             end = scene.sources[self.source] if self.source is not None else scene.receivers[self.receiver or 0]
             mine &= not isinstance(end.directivity, Omni)
         if self.name.startswith("scatterers"):
-            mine &= np.any(kinds == SCATTERING, axis=1)
+            mine &= np.any((kinds == SCATTERING) | (kinds == SHADOW), axis=1)
         if self.name.startswith("bodies"):
             mine &= np.any((kinds == BODY) | (kinds == DIFFRACTION) | (kinds == SCATTERING), axis=1)
         return mine

@@ -139,6 +139,7 @@ class Sample:
     responses: Floats | Complexes
     first: NDArray[np.int64]
     beyond: Floats  # (n,) length of each path less 1 m, by which the band's tilt acts on it
+    beside: Floats | None = None  # (frames,) energy of what else is received, which errors are relative to
 
     def received_of(self, values: Floats | Complexes, at: slice | NDArray[np.int64] = slice(None)) -> Any:
         """Return values (n, m) at some of the frequencies with the tilt that was taken out of responses."""
@@ -159,7 +160,8 @@ class Sample:
     @cached_property
     def received(self) -> Floats:
         """Return the received energy (frames, W) of each window and of its neighbourhood."""
-        return np.asarray(self.by_frame(self.received_of(self.responses)) @ self.band.energy.T + self.band.rest)
+        energy = self.by_frame(self.received_of(self.responses)) @ self.band.energy.T + self.band.rest
+        return np.asarray(energy if self.beside is None else energy + self.beside[:, None])
 
     def loudness(self) -> Floats:
         """Return the inverse (W,) of the received energy of each window, as a mean over the frames."""
@@ -189,6 +191,8 @@ class Sample:
         at_nodes, received = (
             self.by_frame(self.received_of(r[:, nodes] * weight, nodes)).sum(axis=1) for r in (left, self.responses)
         )
+        if self.beside is not None:
+            received = received + self.beside * np.sum(weight**2)
         return np.asarray(np.maximum(self.relative(left), np.sqrt(at_nodes / np.maximum(received, 1e-300))))
 
     @cached_property
@@ -201,10 +205,14 @@ class Sample:
     def frames(self, which: slice | NDArray[np.int64]) -> Sample:
         begin, end = self.first[which], np.append(self.first[1:], len(self.responses))[which]
         rows = ranges(begin, end)[1]
-        return Sample(self.band, self.responses[rows], firsts(end - begin)[:-1], self.beyond[rows])
+        beside = None if self.beside is None else self.beside[which]
+        return Sample(self.band, self.responses[rows], firsts(end - begin)[:-1], self.beyond[rows], beside)
 
     def with_frames(self, other: Sample, which: NDArray[np.int64]) -> Sample:
         more = other.frames(which)
         together: Any = np.concatenate([self.responses, more.responses])
         first = np.append(self.first, len(self.responses) + more.first)
-        return Sample(self.band, together, first, np.append(self.beyond, more.beyond))
+        beside = None
+        if self.beside is not None and more.beside is not None:
+            beside = np.append(self.beside, more.beside)
+        return Sample(self.band, together, first, np.append(self.beyond, more.beyond), beside)

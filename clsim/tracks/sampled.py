@@ -29,7 +29,6 @@ SEED = 20_160_914
 _ROWS = 1024  # responses of which the functions are made
 _HELD_OUT = 4096  # responses at which they are checked
 _COSTLY, _FEWER = (192, 256), 33  # the same, and frequencies, of costly responses
-_CHEAPER = 2  # times as many of those without outlines
 _LEAST_WHOLE = 5  # instants at which at least all paths are taken, where responses are costly
 TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
 TIMES_OF_BANDS = 8  # the same for narrow bands, of ends that receive alike in all directions
@@ -85,7 +84,6 @@ class Draw:
     held_out: tuple[Picked, ...] = ()  # likewise
     grids: tuple[int, ...] = GRIDS  # frequencies of the band, the first number that resolves the responses
     whole: bool = False  # costly responses of few paths: all at each instant, of which every other one is held out
-    outlined: bool = False  # whether all paths are by scatterers with the shadows of their outlines
     approximate: bool = False  # whether all are by scatterers whose fields are approximations
 
     @classmethod
@@ -96,15 +94,12 @@ class Draw:
         assert of_scene is not None
         total = sum(len(pair.start) for pair in of_scene.pairs if pair.source == source)
         vertices = [getattr(pair.family, "vertex", None) for pair in of_scene.pair_paths]
-        outlined, approximate = (
-            all(getattr(vertex, name, False) for vertex in vertices) for name in ("outlined", "approximate")
-        )
+        approximate = all(getattr(vertex, "approximate", False) for vertex in vertices)
         if costly and _LEAST_WHOLE * total <= min(counts):
-            together = sum(counts) * (1 if outlined else _CHEAPER)
-            rows = tuple(picked_paths(of_scene, source, until, together, rng, whole=True))
-            return cls(of_scene, source, until, rows, (), grids, True, outlined, approximate)
+            rows = tuple(picked_paths(of_scene, source, until, 2 * sum(counts), rng, whole=True))
+            return cls(of_scene, source, until, rows, (), grids, True, approximate)
         rows, held_out = (tuple(picked_paths(of_scene, source, until, count, rng, times=times)) for count in counts)
-        return cls(of_scene, source, until, rows, held_out, grids, False, outlined, approximate)
+        return cls(of_scene, source, until, rows, held_out, grids, False, approximate)
 
     def probe(self) -> Draw:
         """Return the same with few of the instants, where all paths are taken at each."""
@@ -116,6 +111,7 @@ class Draw:
         """Responses over a band of the paths of which functions are made, or of those at which they are checked."""
         made: list[Any] = []
         beyond: list[Floats] = []
+        beside: list[float] = []
         scene = self.tracks.paths.scene
         at = SceneResponse(scene, self.source, band.frequencies, band.tilt.at(band.frequencies))
         middle = int(np.abs(band.frequencies - scene.sources[self.source].emitted.centre_frequency).argmin())
@@ -132,16 +128,22 @@ class Draw:
                 along = along * np.conj(band.turn)
             along, spans = along * some.scale, list(pairwise(some.first))
             if some.whole:
-                level = np.sqrt(np.add.reduceat(np.mean(np.abs(along[:, :, middle]) ** 2, axis=0), some.first[:-1]))
+                energy = np.mean(np.abs(along[:, :, middle]) ** 2, axis=0)
+                if family.adds:
+                    path = family.unshaded(some.paths.rows, some.found, some.times, at)[..., middle]
+                    energy = np.abs(path.T.ravel() * some.scale[:, 0]) ** 2
+                level = np.sqrt(np.add.reduceat(energy, some.first[:-1]))
                 along /= np.maximum(level, _SILENT).repeat(np.diff(some.first))[:, None]
                 spans = [span for span, sounds in zip(spans, (level > _SILENT).tolist(), strict=True) if sounds]
             made += [channel[begin:end] for begin, end in spans for channel in along]
+            beside += [float(family.adds)] * (len(spans) * len(along))
             further = some.found.through.T.reshape(-1) - 1.0
             beyond += [further[begin:end] for begin, end in spans for _ in along]
         if not made:  # paths that are silent all the time
             return Sample(band, np.ones((1, len(band.frequencies))), np.zeros(1, dtype=np.int64), np.zeros(1))
         first = np.cumsum([0, *(len(rows) for rows in made[:-1])])
-        return Sample(band, np.concatenate(made), first, np.concatenate(beyond))
+        others = np.array(beside) if any(beside) else None
+        return Sample(band, np.concatenate(made), first, np.concatenate(beyond), others)
 
     def common_delay(self, band: Band, sampling_rate: float) -> float:
         """Middle time of nearly all energy of complex responses, s, in whole samples; 0 if little or real."""
@@ -199,7 +201,7 @@ def picked_paths(
         for part in (at[i : i + together] for i in range(0, instants, together)):
             found = paths.arrivals(part, tracks.kinematics)
             received = (part >= start[:, None]) & (part < end[:, None])
-            level = 1.0 if whole else np.abs(paths.family.response(paths.rows, found, part, at_centre)[..., 0])
+            level = 1.0 if whole else np.abs(paths.family.unshaded(paths.rows, found, part, at_centre)[..., 0])
             level = np.where(received, level, 0.0) * weight
             level[level < _SILENT] = 0.0
             if paths.family.varies and not paths.family.one_by_one and len(start) <= share and level.all():

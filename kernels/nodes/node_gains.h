@@ -1,11 +1,16 @@
 // Gains at a node of a path: its arrival, as its leg and vertex have it, and the response of that.
 
-#if LEG == STATIC && VERTEX == NONE
+#if LEG == STATIC && !TWO_SIDED
 static arrival arrival_of(const path_nodes* s, int i, double through, const environment* env, response* field, int* fielded)
 {
     const arrivals* a = s->node + VECTOR(i);
     const int lane = LANE(i);
+#if VERTEX == SHADE && PARTS == 2
+    shade_at(s, i, field);
+    *fielded = 1;
+#else
     *fielded = 0;
+#endif
     const triple departure = triple_of(&a->departure, lane);
 #if WIND
     const arrival here = {(float)through, (float)OF_NODE(a->length, lane), OF_NODE(a->mach_factor, lane), departure,
@@ -30,7 +35,15 @@ static float gains_of_node(const path_nodes* s, int i, double speed_of_sound, co
     for (int k = 0; k < 3; k++) frame[k] = triple_of(RECEIVER_AT(s, i).frame + k, LANE(i));
 #endif
     shared_response(&here, env, LEG == MOVING ? 0 : env->angular, s->slots, s->slot, &shared);
-    return channel_gains(&shared, &here, env, frame, fielded ? &field : 0, gain, residual);
+#if VERTEX == SHADE  // errors count beside the path in the shadow
+    environment none = *env;
+    float whole;
+    none.function_count = 0;
+    const float beside = mean_squares(&shared, &none, 0, &whole);
+#else
+    const float beside = 0.0f;
+#endif
+    return channel_gains(&shared, &here, env, frame, fielded ? &field : 0, gain, residual) + beside;
 }
 
 // What no function represents of a path active from sample `from` to `until`, at nodes up to `near` from a sample. Nodes of paths

@@ -1,5 +1,7 @@
 // What a path has besides images, one structure for each slot: by its leg (LEG: STATIC or MOVING, of at most MIRRORS mirrors that
-// move) and its vertex (VERTEX: NONE, EDGE or SCATTERER).
+// move) and its vertex (VERTEX: NONE, EDGE, SCATTERER or SHADE).
+
+#define TWO_SIDED (VERTEX == EDGE || VERTEX == SCATTERER)  // both ends are seen from the vertex, on static legs
 
 // Numbers of a launch, as its arguments of these names; those of `run` are explained in tracks.cl.
 typedef struct {
@@ -36,7 +38,7 @@ typedef struct {
     double source_turn[9], source_shift[3];  // from the room to what the scatterer sees by the walls before it
     double receiver_turn[9], receiver_shift[3];
     double semi_axes[3];                     // m
-    double strength;                         // of a point, m
+    double strength;                         // of a point, m; of what has an outline the central waves in a metre
     int thing, turned, shape;                // in the table of poses; whether its orientation matters; POINT, CAPSULE, SPHERE or else
     int first_mode, modes, least;            // where its table begins; modes of a sphere or points of an outline, 0 without; fewest modes
 } scatterer_view;
@@ -47,8 +49,14 @@ typedef struct {
     int face, unused;          // row of the table of poses; -1 for none
 } mirror_view;
 
+typedef struct {
+    int first, count;  // parts of a path between walls, in the table of shade.h
+} shade_view;
+
 #if VERTEX == SCATTERER
 typedef scatterer_view view;
+#elif VERTEX == SHADE
+typedef shade_view view;
 #elif LEG == MOVING
 typedef struct {
     mirror_view mirror[MIRRORS];  // that move, from the source's side
@@ -75,7 +83,7 @@ static void predict_state(__global const double* coarse, long slots, double segm
 static void expected_state(const double* expected, reals u, path_state* b) {}
 #endif
 
-#if LEG == STATIC && VERTEX == NONE
+#if LEG == STATIC && !TWO_SIDED
 #define SOLVE_DELAY(path, poses, seen, receiver, time, small, a, b) solve_delay(path, receiver, time, small, a)
 #define SOLVE_ANEW SOLVE_DELAY
 #endif

@@ -9,7 +9,7 @@ typedef struct {
     double first, rate;            // time of the first cell, s, and cells per second
 } pose_table;
 
-#if VERTEX == SCATTERER
+#if VERTEX >= SCATTERER
 // Things at nodes side by side. Of a knot POSE_COLUMNS are given: its time, s, knots per second until the next one, and cubics
 // of the position and of two axes.
 typedef struct {

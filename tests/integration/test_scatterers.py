@@ -158,7 +158,7 @@ def test_files_name_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[
         ("correlation_time = 0.05", "correlation_time = 0.0", "scatterers[2].fluctuation.correlation_time"),
         ("scattering_order = 1", "scattering_order = 4", "paths.scattering_order"),
         ("scattering_order = 1", 'direct = [{ source = "sonar", receiver = "nose" }]', "paths.direct: must name a receiver"),
-        ("[paths]", "[air]\ntemperature_celsius = [20.0, 24.0]\n[paths]", "error: scatterers: must be left out where the air depends on"),
+        ("[paths]", "[air]\ntemperature_celsius = [20.0, 24.0]\n[paths]", "scene.toml: scatterers: must be left out where the air depends on"),
         ("scattering_order = 1", "direct = 0", "paths.direct: must be true, false or a level below 0 dB"),
         ("scattering_order = 1", 'direct = [{ source = "sonar" }]', "paths.direct[0].receiver: must be given"),
     ):  # fmt: skip

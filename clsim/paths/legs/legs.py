@@ -44,10 +44,7 @@ class StaticLinks(Links):
         if self.vertex is not None:
             found: Arrivals = self.vertex.on_static_legs(self, times, kinematics)
             return found
-        faces, layered = self.chain.scene.room.faces, self.chain.scene.air.layers
-        walls = self.chain.walls[self.rows] if layered else None
-        folds = None if walls is None else Folds((faces.normals, faces.offsets), walls)
-        return arrivals_by(partial(_Images, self.legs[0], folds), self.medium, self.motions, times, kinematics)
+        return static_arrivals(self, times, kinematics)
 
     def places(self, time: float, kinematics: Kinematics) -> Floats:
         """Source, points of interaction and receiver (P, N + 2, 3) at a time of reception, s."""
@@ -56,7 +53,7 @@ class StaticLinks(Links):
         planes = faces.normals, faces.offsets
         emitted_at = source.position(self.solve(now, kinematics).emission_time[:, 0])
         receiver_at = np.broadcast_to(receiver.position(now), emitted_at.shape)
-        if self.vertex is None:
+        if len(self.legs) == 1:
             through = self.chain.interactions[self.rows] == TRANSMISSION if self.chain.passes else None
             return path_vertices(planes, self.chain.objects[self.rows], emitted_at, receiver_at, through)
         before, after = self.surfaces
@@ -73,7 +70,7 @@ class StaticLinks(Links):
 
     def lengths(self, source: Floats, receiver: Floats, times: Instant) -> Floats:
         """Lengths of paths (P,) between places (P, 3), m."""
-        if self.vertex is not None:
+        if len(self.legs) > 1:
             ends = tuple(leg.image(place) for leg, place in zip(self.legs, (source, receiver), strict=True))
             return np.asarray(self.vertex.lengths(self, (source, receiver), ends, times))
         leg = self.legs[0]
@@ -83,7 +80,7 @@ class StaticLinks(Links):
     @property
     def surfaces(self) -> tuple[Integers, ...]:
         """Walls (P, N) of each leg from the endpoint's side."""
-        if self.vertex is None:
+        if len(self.legs) == 1:
             return (self.all_surfaces,)
         kinds, walls = self.chain.interactions[self.rows], self.all_surfaces
         met, step = kinds > SPECULAR, np.arange(kinds.shape[1])
@@ -97,6 +94,14 @@ class StaticLinks(Links):
     def all_surfaces(self) -> Integers:
         """Walls (P, N) from the source's side, those that let sound pass among them, -1 for what is none."""
         return np.asarray(self.chain.surfaces[self.rows])
+
+
+def static_arrivals(links: Links, times: Floats, kinematics: Kinematics) -> Arrivals:
+    """Solve the delay equation of paths by one static leg at times of reception (T,), s."""
+    faces, layered = links.chain.scene.room.faces, links.chain.scene.air.layers
+    walls = links.chain.walls[links.rows] if layered else None
+    folds = None if walls is None else Folds((faces.normals, faces.offsets), walls)
+    return arrivals_by(partial(_Images, links.legs[0], folds), links.medium, links.motions, times, kinematics)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

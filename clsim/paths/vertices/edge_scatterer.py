@@ -24,7 +24,7 @@ from clsim.paths.propagation import straight
 from clsim.paths.response import Arrivals, Kinematics, SceneResponse
 from clsim.paths.vertices.edge import EdgeVertex
 from clsim.paths.vertices.edge_field import EdgeView, towards_edge
-from clsim.paths.vertices.scatterer import ScattererVertex
+from clsim.paths.vertices.scatterer import ScattererVertex, centre_of
 from clsim.paths.vertices.scatterer_paths import PATIENCE, Body, unseen
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
@@ -182,7 +182,7 @@ class EdgeScattererVertex(ScattererVertex):
                 response *= beside.edge.static_field(sent, received, wave * more[f"at_edge_{n}"][..., None], at)
                 response *= at.reflection(beside.walls)[:, None, :]
                 at.apply_angular_walls(response, beside.walls, more[f"towards_{n}"])
-        return self._sent_on(response, more, wave)
+        return self._sent_on(response, more, (wave, centre_of(links)))
 
     def largest(self, links: Links, at: SceneResponse) -> Floats:
         """Bounds (P, F) of what edges and scatterers send on, times the lengths of the paths."""

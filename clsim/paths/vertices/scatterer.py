@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.shade import LOUDEST_SHADE, shade
-from clsim.acoustics.silhouette import ASPECTS, forward_share
+from clsim.acoustics.silhouette import ASPECTS
 from clsim.arrays import Floats
 from clsim.numerics.quaternions import inverse, rotate
 from clsim.paths.family import SCATTERING, Columns, Instant, Links, Pair, Rows, ends_at, in_chunks
@@ -222,30 +222,33 @@ class ScattererVertex:
         spreading = more["strength"] / ((found.length - more["second_length"]) * more["second_length"])
         response = passing.astype(np.complex128, copy=False) if links.chain.is_complex else passing
         response *= (found.mach_factor * spreading)[..., None]
-        return self._sent_on(response, more, 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound)
+        wave = 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound
+        return self._sent_on(response, more, (wave, centre_of(links)), shades=links.legs[0].moving)
 
-    def _sent_on(self, response: Any, more: Columns, wave: Floats) -> Any:
-        """Multiply responses (P, T, F) by the fields and fluctuations of scatterers, for wave numbers (F,)."""
+    def _sent_on(self, response: Any, more: Columns, waves: tuple[Floats, float], *, shades: bool = True) -> Any:
+        """Multiply responses (P, T, F) by the fields and fluctuations of scatterers.
+
+        waves: numbers (F,) and the central one, 1/m. shades: whether these include shadows of outlines; those on paths
+        that walls reflect are paths of their own.
+        """
         for mine in self.groups():
             scatterer = self.part(mine).one
             aspects = more["aspects"][mine, :, : scatterer.shape.aspects]
-            past = self._past(mine, more["event_time"][mine], aspects, wave) if scatterer.shape.outlined else 1.0
-            field = scatterer.shape.field(wave, aspects, past)
+            past: Any = 0.0
+            if shades and scatterer.shape.outlined:
+                past = self._past(mine, more["event_time"][mine], aspects, waves)
+            field = scatterer.shape.field(*waves, aspects, past)
             if field is not None:
                 response[mine] *= field
             if scatterer.fluctuation is not None:
                 response[mine] *= scatterer.fluctuation.at(more["event_time"][mine])[..., None]
         return response
 
-    def _past(self, mine: NDArray[np.int64], times: Floats, aspects: Floats, wave: Floats) -> Any:
+    def _past(self, mine: NDArray[np.int64], times: Floats, aspects: Floats, waves: tuple[Floats, float]) -> Any:
         """Shares (P, T, F) of the direct sound that scatterers before one in the scene let pass, see `shade`."""
-        which = int(self.scatterer[mine[0]])
-        outlines = aspects.reshape(-1, aspects.shape[-1])[:, -ASPECTS:]
-        near = np.flatnonzero(forward_share(wave, outlines)[0].any(axis=1))  # elsewhere its own outline does not count
-        ends, own = outlines[near, :6].reshape(-1, 2, 3), self.scatterers[which].trajectory
-        moments, past = times.ravel()[near], np.ones((times.size, len(wave)), dtype=np.complex128)
-        if not len(near):
-            return 1.0
+        which, moments = int(self.scatterer[mine[0]]), times.ravel()
+        own, past = self.scatterers[which].trajectory, np.ones((times.size, len(waves[0])), dtype=np.complex128)
+        ends = aspects.reshape(-1, aspects.shape[-1])[:, -ASPECTS:][:, :6].reshape(-1, 2, 3)
         if own.has_orientation:
             ends = rotate(own.orientation(moments)[:, None], ends)
         ends = ends + own.position(moments)[:, None]
@@ -255,8 +258,8 @@ class ScattererVertex:
                 seen = ends - other.trajectory.position(moments)[:, None]
                 if other.trajectory.has_orientation:
                     seen = rotate(inverse(other.trajectory.orientation(moments))[:, None], seen)
-                past[near] *= shade(shape.outline, wave, seen[:, 0], seen[:, 1])
-        return past.reshape(*times.shape, len(wave))
+                past *= shade(shape.outline, *waves, seen[:, 0], seen[:, 1])
+        return past.reshape(*times.shape, -1)
 
     def largest(self, links: Links, at: SceneResponse) -> Floats:
         """Bounds (P, F) of what scatterers send on, times the lengths of the paths."""
@@ -294,6 +297,11 @@ class ScattererVertex:
 
     def __len__(self) -> int:
         return len(self.scatterer)
+
+
+def centre_of(links: Links) -> float:
+    """Wave number in the middle of the band of what the source of paths emits, 1/m."""
+    return float(2.0 * np.pi * links.ends[0].emitted.centre_frequency / links.chain.scene.air.speed_of_sound)
 
 
 def _path_of(links: Links, ends: PairEnds, times: Floats, retarded: bool) -> scatterer_paths.ScatteredPath:

@@ -21,7 +21,7 @@ from clsim.paths.chain import Chain, check_support
 from clsim.paths.family import NONE, SCATTERING, SPECULAR, Columns, Instant, Links, Pair, Rows, ends_at
 from clsim.paths.response import Arrivals, Kinematics, SceneResponse
 from clsim.paths.search.scatterers import Side, at_receivers, received_after
-from clsim.paths.vertices.scatterer import PairEnds, ScattererVertex
+from clsim.paths.vertices.scatterer import PairEnds, ScattererVertex, centre_of
 from clsim.paths.vertices.scatterer_paths import PATIENCE, Body, Leg, leg_between, unseen
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.scatterer import Scatterer
@@ -131,13 +131,13 @@ class ScattererPairVertex(ScattererVertex):
         """Responses (P, T, F) by the fields of both, and by what air and legs let pass, (P, T, F)."""
         response = passing.astype(np.complex128, copy=False) if links.chain.is_complex else passing
         response *= (found.mach_factor * found.more["strength"])[..., None]
-        wave = 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound
+        waves = 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound, centre_of(links)
         for mine in self.groups():
             two = self.part(mine).two
             seen = [found.more["aspects"][mine, :, : s.shape.aspects, i] for i, s in enumerate(two)]
-            fields: list[Any] = [s.shape.field(wave, aspects) for s, aspects in zip(two, seen, strict=True)]
+            fields: list[Any] = [s.shape.field(*waves, aspects) for s, aspects in zip(two, seen, strict=True)]
             if all(scatterer.shape.outlined for scatterer in two):  # the path by the second alone has both shades
-                mirrored: list[Any] = [s.shape.field(wave, aspects, 0.0) for s, aspects in zip(two, seen, strict=True)]
+                mirrored: list[Any] = [s.shape.field(*waves, x, 0.0) for s, x in zip(two, seen, strict=True)]
                 fields = [np.prod(fields, axis=0) - np.prod(np.stack(fields) - np.stack(mirrored), axis=0), None]
             for i, (scatterer, field) in enumerate(zip(two, fields, strict=True)):
                 if field is not None:

@@ -349,7 +349,9 @@ def _obstacle(
     for what, ends_of, most, radius in passes(tracks, index, receivers):
         if most > 0.0 and len(passing_times(ends_of, span[2], needed, most, radius)):
             return f"{what} is passed so near, at up to {most:.3g} m/s, that its sound is not narrow"
-    if max(_spread(tracks, i, narrow, span) for i in mine[:: -(-len(mine) // _EVALUATED_AT[0])]) > silence:
+    # Shadows spread no more than the echoes of what casts them.
+    spread = [i for i in mine if not tracks.pair_paths[i].family.adds]
+    if any(_spread(tracks, i, narrow, span) > silence for i in spread[:: -(-len(spread) // _EVALUATED_AT[0]) or 1]):
         return "ends move so quickly that the received band is not narrow"
     return ""
 

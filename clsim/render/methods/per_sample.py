@@ -57,7 +57,7 @@ class PathSum:
         return _Sum(self.plan)
 
 
-ECHOES = "scattered"  # name of the group of paths by scatterers that cast no shadows of outlines
+ECHOES = "scattered"  # name of the group of paths by scatterers by approximate formulae
 PER_SAMPLE = methodcaller("where_left", PathSum)  # builds it of a plan
 
 
@@ -71,20 +71,18 @@ class Group(NamedTuple):
 
 
 def scattered_groups(tracks: Tracks, convolved: Allocation, options: RenderOptions) -> list[Group]:
-    """Return pairs by scatterers whose fields vary over frequency: those with shadows of outlines, and others."""
+    """Return pairs by scatterers whose fields vary over frequency: approximations, with shadows, and exact ones."""
     usable = options.engine == "opencl" and options.baseband is None and isinstance(options.interpolator, Bandlimited)
     if tracks.of_scene is None or not usable:
         return []
     vertices = [getattr(pair.family, "vertex", None) for pair in tracks.of_scene.pair_paths]
     varied = {i for i, v in enumerate(vertices) if getattr(v, "varies", False)} - convolved.claimed
-    allowed_db, exact = options.scattering_error_db, replace(options, channels=False)
-    within, outlined = exact, frozenset[int]()
+    exact, allowed_db = replace(options, channels=False), options.scattering_error_db
+    within = exact
     if allowed_db is not None:
         within = replace(exact, interpolator=Bandlimited(allowed_db), response_error_db=allowed_db)
-        outlined = frozenset(i for i in varied if getattr(vertices[i], "outlined", False))
-    others = frozenset(varied - outlined)
-    for_others = within if all(getattr(vertices[i], "approximate", False) for i in others) else exact
-    groups = Group("shadows", within, outlined, BLOCKS[1:]), Group(ECHOES, for_others, others, BLOCKS)
+    approximate = frozenset(i for i in varied if getattr(vertices[i], "approximate", False))
+    groups = Group(ECHOES, within, approximate, BLOCKS), Group("series", exact, frozenset(varied - approximate), BLOCKS)
     return [group for group in groups if group.pairs]
 
 

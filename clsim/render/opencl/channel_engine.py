@@ -233,7 +233,7 @@ class ChannelRun(Run):
         }  # fmt: skip
 
     def _spreading(self) -> dict[str, Any]:
-        """Return where paths are spread over grids, as kernels take it."""
+        """Places of paths on grids, as arguments of kernels."""
         first, shift = self._task.frames.grid.first, self._plan.source_filters[self._source].bank.shift
         whole = math.floor(shift)
         return {"window": self._engine.window, "first": first - whole, "shift": shift - whole}

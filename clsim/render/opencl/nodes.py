@@ -17,7 +17,8 @@ from clsim.paths.cubics import CUBIC_COLUMNS, knot_rate, motion_knots
 from clsim.render.opencl.batches import CELL, Activity, Boundaries, PathBatch
 from clsim.render.opencl.block_polynomials import GAIN_ERROR, SMOOTH_ERROR, SMOOTH_SHARE
 from clsim.render.opencl.environment import OMNI, RECEIVER_NODE, SPHERICAL, TABLES, VECTOR, Environment, receiver_at
-from clsim.render.opencl.path_columns import COLUMNS, OF_DELAYS, OF_GAINS, Rendered
+from clsim.render.opencl.node_constants import OF_DELAYS, OF_GAINS
+from clsim.render.opencl.path_columns import COLUMNS, Rendered
 from clsim.render.plan import Plan, node_times
 from clsim.tracks.tracks import SceneTracks
 

@@ -11,68 +11,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics import fock, silhouette
-from clsim.acoustics.capsule import CAP_FADE, FLATTEST, NEAR_JUNCTION
-from clsim.acoustics.diffraction import AT_CORNER, END_TERMS, ON_BOUNDARY, ON_LINE, adjacent_reflections
-from clsim.acoustics.outline import NEAR_AXIS, NEAREST_END, Outline, most_points, steps_of_points
-from clsim.acoustics.scattering import ELONGATED, FAR, FOUND, LONGEST_STEP, OUTWARD_STEPS, PENUMBRA
-from clsim.acoustics.sphere import LEFT_OUT, sphere_modes
+from clsim.acoustics.diffraction import adjacent_reflections
+from clsim.acoustics.outline import Outline, most_points, steps_of_points
+from clsim.acoustics.sphere import sphere_modes
 from clsim.arrays import Floats
 from clsim.errors import InputError
-from clsim.paths.cubics import FACE_COLUMNS, POSE_COLUMNS, face_knots, face_rate, pose_knots, pose_rate
+from clsim.paths.cubics import face_knots, face_rate, pose_knots, pose_rate
 from clsim.paths.family import Links, Rows
-from clsim.paths.legs.events import BEYOND_LEG
 from clsim.paths.legs.mirrors import ROOM
 from clsim.paths.response import Walls
-from clsim.paths.vertices.edge_field import BOTH, least_angle
-from clsim.paths.vertices.scatterer_paths import PATIENCE
+from clsim.paths.vertices.edge_field import least_angle
 from clsim.render.opencl.environment import Environment, end_table, field_tables, transition_table
+from clsim.render.opencl.node_constants import (
+    CAPSULE,
+    EDGE,
+    EDGE_VIEW,
+    END_CELLS,
+    MIRROR_VIEW,
+    MOVING,
+    NO_PATH,
+    NONE,
+    SCATTERER,
+    SCATTERER_VIEW,
+    SHADE,
+    SHADE_VIEW,
+    SHAPES,
+    SPHERE,
+    STATIC,
+)
 from clsim.render.plan import Plan
 from clsim.tracks.basis import Basis
 from clsim.tracks.tracks import SceneTracks
 
 Bounces = tuple[NDArray[np.int32], NDArray[np.float32]]  # see `Environment.bounces`
 
-STATIC, MOVING = range(2)  # legs
-NONE, EDGE, SCATTERER = range(3)  # vertices
-POINT, ELLIPSOID, CAPSULE, SPHERE = range(4)  # shapes of scatterers; from CAPSULE on fields have phases
-END_CELLS = 128  # of the tables of ends of edges
-NO_PATH = -1e6  # s, delay that reports that no path by a scatterer is found
-_CONVERGED = 1e-5  # rad of a specular point: after the step its error, and that of its strength, is about the square
 _FACE_SHARE = 0.1  # of a source's allowed error: a mirror's error displaces images twice as far, and each mirror adds
-# Constants of every program of nodes, whatever its leg and vertex.
-OF_DELAYS = {
-    "STATIC": STATIC, "MOVING": MOVING, "NONE": NONE, "EDGE": EDGE, "SCATTERER": SCATTERER,
-    "POINT": POINT, "CAPSULE": CAPSULE,
-    "ELONGATED": ELONGATED, "OUTWARD_STEPS": OUTWARD_STEPS,
-    "LONGEST_STEP": LONGEST_STEP, "SPECULAR_FAR": FAR, "SPECULAR_FOUND": FOUND, "SETTLED": _CONVERGED,
-    "FLATTEST": FLATTEST, "NO_PATH": NO_PATH, "ON_LINE": ON_LINE, "PATIENCE": PATIENCE, "BEYOND_LEG": BEYOND_LEG,
-    "POSE_COLUMNS": POSE_COLUMNS, "FACE_COLUMNS": FACE_COLUMNS,
-}  # fmt: skip
-OF_GAINS = {
-    "ON_BOUNDARY": ON_BOUNDARY, "PENUMBRA": PENUMBRA, "NEAR_JUNCTION": NEAR_JUNCTION, "LEFT_OUT": LEFT_OUT,
-    "END_CELLS": END_CELLS, "END_TERMS": END_TERMS, "BOTH": BOTH, "AT_CORNER": AT_CORNER, "HALF_TURN": math.pi,
-    "FOCK_FIRST": fock.FIRST, "FOCK_LAST": fock.LAST, "FOCK_COUNT": fock.COUNT,
-    "FOCK_WHOLE": silhouette.FORWARD_FOCK[0], "FOCK_NONE": silhouette.FORWARD_FOCK[1],
-    "COSINE_WHOLE": silhouette.FORWARD_COSINE[0], "COSINE_NONE": silhouette.FORWARD_COSINE[1],
-    "NEAR_WHOLE": silhouette.NEAR_FOCK[0], "NEAR_NONE": silhouette.NEAR_FOCK[1],
-    "GRAZING": silhouette.GRAZING[0], "GRAZED": silhouette.GRAZING[1], "SHORTEST": silhouette.SHORTEST,
-    "NEAREST_END": NEAREST_END, "NEAR_AXIS": NEAR_AXIS, "CAP_FADE": CAP_FADE, "WITHIN": silhouette.WITHIN,
-    "SHARP": silhouette.SHARP, "ELLIPSOID": ELLIPSOID, "SPHERE": SPHERE,
-}  # fmt: skip
-_SHAPES = {"point": POINT, "ellipsoid": ELLIPSOID, "capsule": CAPSULE, "sphere": SPHERE}
-# Structures of kernels/nodes/path.h.
-_PARTS = (("turn", 9), ("shift", 3))
-_TWO_SIDES = [(f"{end}_{part}", "f8", count) for end in ("source", "receiver") for part, count in _PARTS]
-EDGE_VIEW = np.dtype(
-    [*_TWO_SIDES, ("n", "f8"), ("low", "f8", 2), ("wide", "f8", 2), ("narrow", "f8", 2), ("even", "f8", 2),
-     ("odd", "f8", 2), ("end", "f8"), ("active", "f8", 2), ("span", "f8", 2), ("lit", "i4", 4), ("end_side", "i4"),
-     ("face", "i4", 2), ("bounces", "i4", 2), ("corner", "f4"), ("share", "f4", (2, 2))]
-)  # fmt: skip
-SCATTERER_VIEW = np.dtype(
-    [*_TWO_SIDES, ("semi_axes", "f8", 3), ("strength", "f8"), ("thing", "i4"), ("turned", "i4"), ("shape", "i4"),
-     ("first_mode", "i4"), ("modes", "i4"), ("least", "i4")]
-)  # fmt: skip
-MIRROR_VIEW = np.dtype([("turn", "f8", 9), ("shift", "f8", 3), ("most", "f8"), ("face", "i4"), ("unused", "i4")])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,19 +173,17 @@ class EdgeColumns(VertexColumns):
         vertex, edges = links.vertex, np.zeros(len(links.vertex), dtype=EDGE_VIEW)
         for end, view in zip(("source", "receiver"), vertex.views(links), strict=True):
             edges[f"{end}_turn"], edges[f"{end}_shift"] = view.turn.reshape(-1, 9), view.shift
-        for name in ("n", "lit", "end_side", "corner"):
-            edges[name] = getattr(vertex, name)
+        own = [(name, getattr(vertex, name)) for name in ("n", "lit", "end_side", "corner")]
+        for name, column in (*own, *self._family.fading(self._family.source == source)):
+            edges[name] = column
         half_turns, edges["bounces"] = np.pi * edges["n"], adjacent_reflections(edges["n"])[:, 1:3]
         even, odd = (half_turns * (count // 2) for count in edges["bounces"].T)
         angles = {"wide": half_turns, "narrow": 0.5 * np.pi / edges["n"], "even": even, "odd": odd}
         for name, angle in angles.items():
             edges[name] = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         edges["low"] = np.stack([least_angle(vertex.n, beside) for beside in vertex.beside.T], axis=1)
-        edges["end"] = np.nan_to_num(vertex.end_place)
-        for name, column in self._family.fading(self._family.source == source):
-            edges[name] = column
         env = self._of.environments[source]
-        edges["face"] = env.tables_of(vertex.faces)
+        edges["end"], edges["face"] = np.nan_to_num(vertex.end_place), env.tables_of(vertex.faces)
         factors = env.reflection(vertex.faces.reshape(-1, 1)).astype(np.float32)
         return {"views": edges, "faces": factors.reshape(len(edges), 2, *factors.shape[1:])}
 
@@ -220,10 +191,8 @@ class EdgeColumns(VertexColumns):
         return self._transitions[source] | self._of.uploaded(faces=self._column("faces", source, rows))
 
 
-class ScattererColumns(VertexColumns):
-    """Columns of paths by a scatterer: both sides' isometries, and poses and shapes of scatterers."""
-
-    vertex, state_numbers = SCATTERER, 6
+class _Posed(StaticColumns):
+    """Columns of paths whose sound depends on where scatterers are: their poses."""
 
     def __init__(self, of: Rendered) -> None:
         super().__init__(of)
@@ -233,48 +202,103 @@ class ScattererColumns(VertexColumns):
         # Either leg changes by as much as a scatterer moves.
         tolerance = 0.25 * of.tolerance(of.tracks.paths.scene.air.speed_of_sound)
         self._pose_rate = pose_rate(self._motions, radii, of.plan.duration, tolerance)
+        self._turned = [motion.has_orientation and r > 0.0 for motion, r in zip(self._motions, radii, strict=True)]
+
+    def _waves(self, basis: Basis) -> Floats:
+        """Waves in a metre at the frequencies of a basis."""
+        return np.asarray(basis.nodes / self._of.tracks.paths.scene.air.speed_of_sound)
+
+    def _centre(self, source: int) -> float:
+        """Waves in a metre in the middle of the band of a source's signal."""
+        scene = self._of.tracks.paths.scene
+        return float(scene.sources[source].emitted.centre_frequency / scene.air.speed_of_sound)
+
+    def poses(self, start: float, end: float) -> dict[str, Any]:
+        knots, cells, first = pose_knots(self._motions, start, end, self._pose_rate)
+        count = {"pose_count": cells.shape[1] - 1, "first_pose": first, "pose_rate": self._pose_rate}
+        return self._of.uploaded(poses=knots, pose_cells=cells) | count
+
+
+class ScattererColumns(_Posed, VertexColumns):
+    """Columns of paths by a scatterer: both sides' isometries, and poses and shapes of scatterers."""
+
+    vertex, state_numbers = SCATTERER, 6
+
+    def __init__(self, of: Rendered) -> None:
+        super().__init__(of)
+        scatterers = of.tracks.paths.scene.scatterers
         of_shape = np.zeros(len(scatterers), dtype=SCATTERER_VIEW)
         for row, scatterer in zip(of_shape, scatterers, strict=True):
-            shape, motion = scatterer.shape, scatterer.trajectory
-            row["shape"], row["strength"] = _SHAPES[shape.kind], getattr(shape, "strongest", 0.0)
-            row["semi_axes"], row["turned"] = shape.semi_axes, motion.has_orientation and shape.radius > 0.0
-        of_shape["thing"] = np.arange(len(scatterers))
+            shape = scatterer.shape
+            row["shape"], row["strength"] = SHAPES[shape.kind], getattr(shape, "strongest", 0.0)
+            row["semi_axes"], row["modes"] = shape.semi_axes, int(shape.outlined)
+        of_shape["thing"], of_shape["turned"] = np.arange(len(scatterers)), self._turned
         self._shapes = [of_shape.copy() for _ in of.plan.source_filters]
+        for source, views in enumerate(self._shapes):
+            views["strength"] = np.where(of_shape["modes"] > 0, self._centre(source), of_shape["strength"])
         self._fields = [self._tables(v, f.basis) for v, f in zip(self._shapes, of.plan.source_filters, strict=True)]
 
     def _tables(self, views: NDArray[Any], basis: Basis) -> dict[str, Any]:
-        """Tables of ellipsoids, capsules and spheres; views are given the places where they begin."""
-        outlined = np.array([getattr(s.shape, "outlined", False) for s in self._of.tracks.paths.scene.scatterers])
-        if views["shape"].max() < CAPSULE and not outlined.any():
+        """Tables of ellipsoids, capsules and spheres; views are given the places where those of spheres begin."""
+        outlined = bool(views["modes"].any())
+        if views["shape"].max() < CAPSULE and not outlined:
             return {}
-        waves = basis.nodes / self._of.tracks.paths.scene.air.speed_of_sound
+        waves = self._waves(basis)
         table, middle = transition_table(waves, basis.parts)
-        # All outlines find Fock's function at the beginning, then the reflection near grazing incidence, and then what
-        # else casts a shadow, see ``shade.h``.
-        casters = np.zeros((int(outlined.sum()), 7))
-        parts: list[Floats] = []
-        if outlined.any():
-            tables = [table.view(np.float64) for table in (fock.fock_table(), fock.lit_table())]
-            parts = [*tables, np.array([len(casters)]), casters.reshape(-1)]
-            self.known_at = max(self.known_at, silhouette.known_at(np.cbrt(np.pi * waves)))
+        parts = _fock_tables() if outlined else []  # reflection near grazing incidence is found at the beginning
         for view in np.flatnonzero(views["shape"] == SPHERE):
             modes = sphere_modes(tuple((2.0 * np.pi * waves * views["semi_axes"][view, 0]).tolist()))
             factors = np.stack([modes.step, modes.back, modes.weight.real, modes.weight.imag], axis=1)
             views["first_mode"][view] = sum(part.size for part in parts)
             views["modes"][view], views["least"][view] = len(factors), math.ceil(float(modes.ka.max()))
             parts += [modes.ka, factors.ravel()]
-        for row in np.flatnonzero(outlined).tolist():
-            start = sum(part.size for part in parts)
-            shape: Any = self._of.tracks.paths.scene.scatterers[row].shape
-            parts.append(self._points(shape.outline, waves, start))
-            views["first_mode"][row], views["modes"][row] = start, int(parts[-1][0])
-        chosen = views[outlined]
-        casters[:] = np.column_stack(
-            [chosen["thing"], chosen["shape"] == CAPSULE, chosen["turned"], chosen["semi_axes"], chosen["first_mode"]]
-        )
         known = np.concatenate(parts) if parts else np.zeros(0)
         found = self._of.uploaded(field_tables=field_tables(waves, table))
         return found | {"middle": middle, "modes": self._of.put(known) if known.size else None}
+
+    def _made(self, source: int, links: Links) -> dict[str, NDArray[Any]]:
+        views = self._shapes[source][links.vertex.scatterer]
+        for end, leg in zip(("source", "receiver"), links.legs, strict=True):
+            views[f"{end}_turn"], views[f"{end}_shift"] = leg.matrix.reshape(-1, 9), leg.offset
+        return {"views": views}
+
+    def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        return super().field(source, rows) | self._fields[source]
+
+    def check(self, shortest: float, start: float, end: float) -> None:
+        """Refuse scatterers that are between both ends, or in them."""
+        if shortest < 0.5 * NO_PATH:  # less a clock's error
+            raise InputError(
+                "scatterers",
+                f"must be seen from both ends, but no way by one of them was found from {start:.6g} to {end:.6g} s",
+            )
+
+
+class ShadeColumns(_Posed):
+    """Columns of shadows on paths by walls: images, their parts between walls, and poses and outlines of bodies."""
+
+    vertex = SHADE
+
+    def __init__(self, of: Rendered) -> None:
+        super().__init__(of)
+        self._tables = [
+            self._of_basis(filters.basis) | {"middle": self._centre(source)}
+            for source, filters in enumerate(of.plan.source_filters)
+        ]
+
+    def _of_basis(self, basis: Basis) -> dict[str, Any]:
+        """Tables of Fock's functions, of bodies, of parts of paths and of points of outlines, see ``shade.h``."""
+        waves, vertex = self._waves(basis), self._family.vertex
+        self.known_at = max(self.known_at, silhouette.known_at(np.cbrt(np.pi * waves)))
+        things = [i for i, scatterer in enumerate(vertex.scatterers) if scatterer.shape.outlined]
+        casters, parts = np.zeros((len(things), 8)), np.append(vertex.matrix.reshape(-1, 9), vertex.offset, axis=1)
+        tables = [*_fock_tables(), np.array([len(things)]), casters.reshape(-1), parts.ravel()]
+        for caster, thing in zip(casters, things, strict=True):
+            shape, start = vertex.scatterers[thing].shape, sum(table.size for table in tables)
+            caster[:] = [thing, shape.kind == "capsule", self._turned[thing], *shape.semi_axes, start, shape.radius]
+            tables.append(self._points(shape.outline, waves, start))
+        found = self._of.uploaded(field_tables=waves.astype(np.float32), modes=np.concatenate(tables))
+        return found | {"faces": None}
 
     def _points(self, outline: Outline, waves: Floats, start: int) -> Floats:
         """Numbers and places of an outline's points, in a table that starts at `start`, see ``outline.h``.
@@ -289,27 +313,18 @@ class ScattererColumns(VertexColumns):
         head = [len(steps), outline.fewest, wave, most, outline.largest]
         return np.concatenate([head, np.ravel(rows), *tables])
 
-    def _made(self, source: int, links: Links) -> dict[str, NDArray[Any]]:
-        views = self._shapes[source][links.vertex.scatterer]
-        for end, leg in zip(("source", "receiver"), links.legs, strict=True):
-            views[f"{end}_turn"], views[f"{end}_shift"] = leg.matrix.reshape(-1, 9), leg.offset
-        return {"views": views}
+    def views(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
+        first, path = self._family.vertex.first, self._family.vertex.path[rows]
+        views = np.stack([first[path], np.diff(first)[path]], axis=1).astype(np.int32).view(SHADE_VIEW)[:, 0]
+        return super().views(source, rows) | self._of.uploaded(views=views)
 
     def field(self, source: int, rows: NDArray[np.int64]) -> dict[str, Any]:
-        return super().field(source, rows) | self._fields[source]
+        return self._tables[source]
 
-    def poses(self, start: float, end: float) -> dict[str, Any]:
-        knots, cells, first = pose_knots(self._motions, start, end, self._pose_rate)
-        count = {"pose_count": cells.shape[1] - 1, "first_pose": first, "pose_rate": self._pose_rate}
-        return self._of.uploaded(poses=knots, pose_cells=cells) | count
 
-    def check(self, shortest: float, start: float, end: float) -> None:
-        """Refuse scatterers that are between both ends, or in them."""
-        if shortest < 0.5 * NO_PATH:  # less a clock's error
-            raise InputError(
-                "scatterers",
-                f"must be seen from both ends, but no way by one of them was found from {start:.6g} to {end:.6g} s",
-            )
+def _fock_tables() -> list[Floats]:
+    """Tables of Fock's functions as kernels take them."""
+    return [table.view(np.float64) for table in (fock.fock_table(), fock.lit_table())]
 
 
 class MirrorColumns(StaticColumns):
@@ -395,4 +410,5 @@ class MirrorColumns(StaticColumns):
 # By `PathFamily.device`; families of other values have their nodes made on the host.
 COLUMNS: dict[str, type[StaticColumns]] = {
     "images": StaticColumns, "edges": EdgeColumns, "bodies": MirrorColumns, "scatterers": ScattererColumns,
+    "shades": ShadeColumns,
 }  # fmt: skip

@@ -1,8 +1,6 @@
 // Static legs: images of the source by walls at rest, which are isometries, and receivers as these see them. Of a path without a
 // vertex one image per slot, as columns: a 3 x 3 matrix and an offset, by which the receiver is mirrored back into the source's own
-// room. At an edge or a scatterer (TWO_SIDED) both ends are seen from the vertex: rows of a matrix and a shift.
-
-#define TWO_SIDED (VERTEX != NONE)
+// room. At an edge or a scatterer (TWO_SIDED, see path.h) both ends are seen from the vertex: rows of a matrix and a shift.
 
 #if TWO_SIDED
 static triples turned(__global const double* m, triples v)

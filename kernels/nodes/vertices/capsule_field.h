@@ -47,8 +47,8 @@ static void add_part(const vertex_tables* t, double weight, double root_of_detou
 }
 
 // The field over the strength, which is returned, m.
-static double capsule_field(const vertex_tables* t, const moment* now, const scatterer_frame* g, triples place, __global const view* seen,
-                            int hidden, int lane, response* field)
+static double capsule_field(const vertex_tables* t, const scatterer_frame* g, triples place, __global const view* seen, int hidden,
+                            int lane, response* field)
 {
     for (int part = 0; part < PARTS; part++) {
         for (int b = 0; b < BIN_VECTORS; b++) field->part[part][b] = 0.0f;
@@ -94,6 +94,6 @@ static double capsule_field(const vertex_tables* t, const moment* now, const sca
     const double share = 1.0 - (1.0 - OF_NODE(around_share, lane)) * faded((fabs(z) - end + r) / r, 0.0, CAP_FADE);
     const double curvature = fmax(share / r, r / (end * end));
     const double mirrored = 1.0 / sqrt(OF_NODE(here.steep, lane));
-    return silhouette_field(t, now, g, place, seen, hidden, mirrored, obliquity(0.5 * pressed, 1), curvature, lane, field);
+    return silhouette_field(t, g, place, seen, hidden, mirrored, obliquity(0.5 * pressed, 1), curvature, lane, field);
 }
 #endif

@@ -1,6 +1,6 @@
 // Where ellipsoids reflect, at nodes side by side, and how strongly: twin of acoustics/scattering.py.
 
-#if VERTEX == SCATTERER
+#if VERTEX >= SCATTERER
 #define LEAST 1e-100  // in divisors: what is divided by it is squared, too
 
 static reals larger(reals a, reals b) { return a > b ? a : b; }
@@ -22,6 +22,9 @@ static triples apart(triples a, triples b)
     return out;
 }
 static triples of_length_one(triples v) { return scaled(inverse_root(larger(DOT(v, v), (reals)LEAST)), v); }
+#endif
+
+#if VERTEX == SCATTERER
 
 // Both ends in the frame of what reflects, m, and the weight of the leg to the receiver. Of capsules `scale` is the radius
 // and, along z, half of the whole length.

@@ -1,7 +1,7 @@
 // Points of the outlines of ellipsoids and capsules as seen along the line of sight, several side by side: twin of
 // acoustics/outline.py.
 
-#if VERTEX == SCATTERER && PARTS == 2
+#if VERTEX >= SCATTERER && PARTS == 2
 #define POINT_COLUMNS 6  // of the table of points: cosine, sine, sign, whether on a side, place there from -1 to 1, share of the length
 #define TINY 1e-30
 

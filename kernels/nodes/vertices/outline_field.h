@@ -1,6 +1,6 @@
 // The field that an outline adds to the free field, from its points: twin of `outline_field` in acoustics/silhouette.py.
 
-#if VERTEX == SCATTERER && PARTS == 2
+#if VERTEX >= SCATTERER && PARTS == 2
 // Real and imaginary parts of a table of Fock's functions at an argument, linear between its rows.
 static void from_table(__global const double* table, double clamped, double* real, double* imaginary)
 {
@@ -33,6 +33,7 @@ static void lit_reflection(__global const double* table, double xi, float* real,
     *imaginary = (float)(xi < FOCK_FIRST ? -2.0 * over : y);
 }
 
+#if VERTEX == SHADE
 // But for the phase, strengths are Newton's polynomials of the root through KNOWN_AT Chebyshev nodes.
 #define OF_CHEBYSHEV (chebyshev_nodes + (KNOWN_AT < 12 ? KNOWN_AT * (KNOWN_AT - 1) / 2 : 21))
 __constant const double chebyshev_nodes[33] = {  // of 1 to 6, and of 12 in an order that keeps rounding small
@@ -113,4 +114,5 @@ static void outline_field(const vertex_tables* t, const outline* o, int first, d
         add_points(t, &p, sight, roots, about);
     }
 }
+#endif
 #endif

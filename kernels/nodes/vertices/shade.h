@@ -1,94 +1,90 @@
-// What bodies with outlines that stand in the line of sight before another one let pass: twin of acoustics/shade.py.
+// What bodies with outlines let pass of a path that walls reflect: twin of paths/vertices/shade.py.
 
-#if VERTEX == SCATTERER
-// Where all scatterers are while sound is at one, and when that is, s.
-typedef struct {
-    const pose_table* poses;
-    reals event;
-} moment;
+#if VERTEX == SHADE && PARTS == 2
+#define SHADE_ROUNDS 3    // of finding when sound passes a body
+#define CASTER_COLUMNS 8  // thing, CAPSULE or not, whether turned, three axes as of an outline, where its table begins, radius
+#define SHADED_PART 12    // matrix and offset of a part of a path, see `ShadeVertex`
 
-#if PARTS == 2
-#define CASTER_COLUMNS 7  // thing, CAPSULE or not, whether turned, three axes as of an outline, where its table begins
-
-// Distance by which the line of sight passes the body, about, m; below 0 where it meets it.
-static double clearance_of(const outline* o)
+// Multiply what is passed by the shade of one body, whose outline sees both ends.
+static void shade_by(const vertex_tables* t, const outline* o, int first, double sight, const root_range* roots, response* passed)
 {
-    if (o->is_capsule) {
-        const double straight = o->axes[2] - o->axes[0];
-        double along[3];
-        for (int i = 0; i < 3; i++) along[i] = o->receiver[i] - o->source[i];
-        const double level = dot_of(along, along), slope = along[2], length = dot_of(o->source, along);
-        const double parted = fmax(level - slope * slope, 1e-12 * level);
-        double height = fmin(fmax((o->source[2] * level - slope * length) / parted, -straight), straight);
-        const double share = fmin(fmax((height * slope - length) / fmax(level, TINY), 0.0), 1.0);
-        height = fmin(fmax(o->source[2] + share * slope, -straight), straight);
-        double apart_by[3];
-        for (int i = 0; i < 3; i++) apart_by[i] = o->source[i] + share * along[i];
-        apart_by[2] -= height;
-        return sqrt(dot_of(apart_by, apart_by)) - o->axes[0];
-    }
-    double begin[3], along[3], nearest[3];
-    for (int i = 0; i < 3; i++) begin[i] = o->source[i] / o->axes[i], along[i] = (o->receiver[i] - o->source[i]) / o->axes[i];
-    const double share = fmin(fmax(-dot_of(begin, along) / fmax(dot_of(along, along), TINY), 0.0), 1.0);
-    for (int i = 0; i < 3; i++) nearest[i] = begin[i] + share * along[i];
-    const double out = sqrt(dot_of(nearest, nearest));
-    for (int i = 0; i < 3; i++) nearest[i] *= o->axes[i];
-    return (1.0 - 1.0 / fmax(out, 0.5)) * sqrt(dot_of(nearest, nearest));
-}
-
-// Multiply the field about an outline by the shade of one body, whose outline sees both ends.
-static void shade_by(const vertex_tables* t, const outline* o, int first, const root_range* roots, response* about)
-{
-    const double before = -dot_of(o->source, o->sight), after = dot_of(o->receiver, o->sight), length = before + after;
-    const double between = faded(fmin(before, after) / t->modes[first + 4], 1.0, 0.0);
-    if (between <= 0.0) return;
-    const double passed = clearance_of(o) / sqrt(before * after / length);
-    float weight[FREQUENCIES], most = 0.0f;
-    for (int f = 0; f < FREQUENCIES; f++) {
-        weight[f] = (float)(between * faded(passed * sqrt((double)((__global const float*)t->waves)[f]), WITHIN, 2.0 * WITHIN));
-        most = fmax(most, weight[f]);
-    }
-    if (most == 0.0f) return;
+    const float share = forward_share(o, t->middle);
+    if (share == 0.0f) return;
     response own;
-    outline_field(t, o, first, length, roots, &own);
-    for (int f = 0; f < FREQUENCIES; f++) {
-        const float real = 1.0f + weight[f] * ((float*)own.part[0])[f], imaginary = weight[f] * ((float*)own.part[1])[f];
-        const float x = ((float*)about->part[0])[f], y = ((float*)about->part[1])[f];
-        ((float*)about->part[0])[f] = real * x - imaginary * y;
-        ((float*)about->part[1])[f] = real * y + imaginary * x;
+    outline_field(t, o, first, sight, roots, &own);
+    for (int b = 0; b < BIN_VECTORS; b++) {
+        for (int part = 0; part < PARTS; part++) own.part[part][b] *= share;
+        own.part[0][b] += 1.0f;
     }
+    multiply(passed, &own);
 }
 
-// Multiply the field about the outline of a scatterer by the shades of all before it in the scene.
-static void shade_by_others(const vertex_tables* t, const moment* now, __global const view* seen, const scatterer_frame* g, int lane,
-                            const root_range* roots, response* about)
+// Multiply by the shade of one body on a part of a path with ends `from` and `to`, between which sound goes evenly.
+static void shade_of(const vertex_tables* t, const pose_table* poses, __global const double* caster, const double* from, const double* to,
+                     double sent, double received, const root_range* roots, response* passed)
 {
-    __global const double* caster = t->modes + 4 * FOCK_COUNT;
-    const int count = (int)caster[0];
-    caster++;
-    if ((int)caster[0] >= seen->thing) return;
-    const pose own = pose_at(now->poses, seen->thing, seen->turned, now->event);
-    triples ends[2] = {g->source, g->receiver};
-    for (int e = 0; e < 2; e++) {
-        const triples x = ends[e];
-        if (seen->turned) ends[e] = plus(scaled(x.x, own.axes[0]), plus(scaled(x.y, own.axes[1]), scaled(x.z, own.axes[2])));
-        ends[e] = plus(ends[e], own.place);
+    double along[3], away[3], off[3], share = 0.5;
+    for (int i = 0; i < 3; i++) along[i] = to[i] - from[i];
+    const double size = fmax(dot_of(along, along), TINY), sight = sqrt(size);
+    pose now;
+    for (int k = 0; k < SHADE_ROUNDS; k++) {
+        now = pose_at(poses, (int)caster[0], k == SHADE_ROUNDS - 1 && (int)caster[2], (reals)(sent + share * (received - sent)));
+        const triple place = triple_of(&now.place, 0);
+        away[0] = place.x - from[0], away[1] = place.y - from[1], away[2] = place.z - from[2];
+        share = fmin(fmax(dot_of(away, along) / size, 0.0), 1.0);
     }
-    for (int i = 0; i < count && (int)caster[0] < seen->thing; i++, caster += CASTER_COLUMNS) {
-        const int is_turned = (int)caster[2];
-        const pose other = pose_at(now->poses, (int)caster[0], is_turned, now->event);
-        outline o;
-        o.is_capsule = (int)caster[1];
-        for (int e = 0; e < 2; e++) {
-            const triples x = apart(ends[e], other.place);
-            const reals from[3] = {is_turned ? DOT(x, other.axes[0]) : x.x, is_turned ? DOT(x, other.axes[1]) : x.y,
-                                   is_turned ? DOT(x, other.axes[2]) : x.z};
-            for (int axis = 0; axis < 3; axis++) (e ? o.receiver : o.source)[axis] = OF_NODE(from[axis], lane);
-        }
-        for (int axis = 0; axis < 3; axis++) o.axes[axis] = caster[3 + axis];
-        look_along(&o);
-        shade_by(t, &o, (int)caster[6], roots, about);
+    for (int i = 0; i < 3; i++) off[i] = away[i] - share * along[i];
+    const double near = caster[7] + 2.0 * WITHIN * sqrt(0.25 * sight / t->middle);
+    if (dot_of(off, off) > near * near) return;
+    outline o;
+    o.is_capsule = (int)caster[1];
+    for (int axis = 0; axis < 3; axis++) {
+        const triple x = (int)caster[2] ? triple_of(now.axes + axis, 0) : (triple){axis == 0, axis == 1, axis == 2};
+        const double turned_axis[3] = {x.x, x.y, x.z};
+        o.source[axis] = -dot_of(away, turned_axis);
+        o.receiver[axis] = o.source[axis] + dot_of(along, turned_axis);
+        o.axes[axis] = caster[3 + axis];
     }
+    look_along(&o);
+    shade_by(t, &o, (int)caster[6], sight, roots, passed);
 }
-#endif
+
+// What shadows add to a path at a node of the group, over its pressure.
+static void shade_at(const path_nodes* s, int i, response* field)
+{
+    const vertex_tables* t = &s->tables;
+    const arrivals* a = s->node + VECTOR(i);
+    const int lane = LANE(i);
+    root_range roots;
+    double low = 1e30, high = 0.0;
+    for (int f = 0; f < FREQUENCIES; f++) {
+        const double root_of_wave = cbrt(HALF_TURN * ((__global const float*)t->waves)[f]);
+        ((float*)roots.place)[f] = (float)root_of_wave;
+        low = fmin(low, root_of_wave), high = fmax(high, root_of_wave);
+    }
+    roots.middle = 0.5 * (high + low), roots.reach = 0.5 * (high - low), roots.most = high;
+    for (int b = 0; b < BIN_VECTORS; b++) {
+        roots.place[b] = (roots.place[b] - (float)roots.middle) / (float)fmax(roots.reach, 1e-9);
+        field->part[0][b] = 1.0f, field->part[1][b] = 0.0f;
+    }
+    const triples source = cubics(a->knot, a->u);
+    const triple begin = triple_of(&source, lane), end = triple_of(&RECEIVER_AT(s, i).ear.position, lane);
+    const double clock_error = OF_NODE(RECEIVER_AT(s, i).clock_error, lane);
+    const double received = s->start + (s->ready * GROUP + i - 1) * s->block_time + clock_error;
+    const double sent = RETARDED ? received - OF_NODE(a->delay, lane) : received;
+    __global const double* casters = t->modes + 4 * FOCK_COUNT;
+    __global const double* part = casters + 1 + (int)casters[0] * CASTER_COLUMNS + SHADED_PART * s->seen->first;
+    for (int k = 0; k < s->seen->count; k++, part += SHADED_PART) {
+        double from[3], to[3];
+        for (int axis = 0; axis < 3; axis++) {
+            __global const double* m = part + 3 * axis;
+            from[axis] = m[0] * begin.x + m[1] * begin.y + m[2] * begin.z + part[9 + axis];
+            to[axis] = m[0] * end.x + m[1] * end.y + m[2] * end.z + part[9 + axis];
+        }
+        for (int c = 0; c < (int)casters[0]; c++) {
+            shade_of(t, s->poses, casters + 1 + CASTER_COLUMNS * c, from, to, sent, received, &roots, field);
+        }
+    }
+    for (int b = 0; b < BIN_VECTORS; b++) field->part[0][b] -= 1.0f;
+}
 #endif

@@ -1,7 +1,7 @@
 // Strings from endpoint to endpoint over the ellipses of an outline's points, side by side: twin of `_strings` in
 // acoustics/silhouette.py. Angles are those on the unit circles that affine coordinates make of the ellipses.
 
-#if VERTEX == SCATTERER && PARTS == 2
+#if VERTEX == SHADE && PARTS == 2
 // `_Strings`: lengths of both sides, half the harmonic mean of the tangents, Fock parameter and m of the arc over (k / 2)^(1/3),
 // what stands for the depth of the line of sight, the wavefront's width, and (k / 2)^(2/3) below which the ellipse is too sharp.
 typedef struct {

@@ -9,7 +9,7 @@ typedef struct {
     __global const double* modes;     // of spheres, see sphere_field.h
 } vertex_tables;
 
-#if VERTEX != NONE
+#if TWO_SIDED
 // A weight times the transition function of the root of a detour, m^(1/2); beyond a boundary the root is below 0.
 static void transition_of(const vertex_tables* t, double root, float weight, response* r)
 {

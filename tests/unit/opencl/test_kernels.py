@@ -33,7 +33,7 @@ from clsim.opencl.launch import (
 from clsim.paths.visibility.device import INTERVAL, SPAN, progress
 from clsim.render.opencl.environment import RECEIVER_NODE, VECTOR
 from clsim.render.opencl.host_nodes import PAIR_RECEIVER
-from clsim.render.opencl.path_columns import EDGE_VIEW, MIRROR_VIEW, SCATTERER_VIEW
+from clsim.render.opencl.node_constants import EDGE_VIEW, MIRROR_VIEW, SCATTERER_VIEW
 
 AVX2 = "sse2 sse4_2 abm avx avx2 bmi1 bmi2 f16c fma movbe"
 

@@ -12,6 +12,7 @@ from scene_texts import receiver_at, scene_text, shoebox_of, source_at, tone_of
 import clsim
 from clsim.cli import main
 from clsim.scene.ends import find_mount
+from clsim.scene.placement import through_walls
 from clsim.scene.room import mesh as mesh_room
 from clsim.scene_file.scene import build_scene, completed_scene
 from clsim.study.file import checked, load_study
@@ -310,3 +311,13 @@ def test_a_sphere_in_a_wall_is_told_with_time_and_depth() -> None:
                 continue
             with pytest.warns(clsim.ClsimWarning, match=r"scatterers\[0\]\.trajectory: " + told):
                 clsim.Scene(room, clsim.Air(), *ends, scatterers=[ball])
+
+
+@pytest.mark.parametrize(("height", "told"), [(0.3, "'pole' reaches 0.25 m through a wall at 0 s"), (0.56, None)])
+def test_capsules_through_walls_are_told(height: float, told: str | None) -> None:
+    """A pole of 1 m, 5 cm thick, upright: its middle line ends 20 cm below the floor, or 6 cm above it."""
+    pole = clsim.Scatterer.capsule("pole", 0.05, 1.0, clsim.Trajectory.fixed((2.0, 1.5, height)))
+    hall = clsim.Shoebox((4.0, 3.0, 2.5), clsim.Material.from_reflection(0.8))
+    for room in (hall, hall.as_mesh()):
+        notes = through_walls(room, [("scatterers[0]", pole)])
+        assert notes == ([] if told is None else [f"scatterers[0].trajectory: {told}"])

@@ -1,0 +1,190 @@
+"""Shadows of bodies on paths that walls reflect: all outlines near a path, as one factor of its pressure.
+
+A path by a shadow is a path by walls again, with what bodies take away from its sound or add to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clsim.acoustics.shade import LOUDEST_SHADE, shade
+from clsim.acoustics.silhouette import WITHIN
+from clsim.arrays import Floats, firsts, read_only
+from clsim.numerics.quaternions import inverse, rotate
+from clsim.paths.chain import Chain, check_support
+from clsim.paths.family import NONE, SHADOW, Integers, Links, Rows
+from clsim.paths.legs.legs import StaticLeg, static_arrivals
+from clsim.paths.response import Arrivals, Kinematics, SceneResponse
+from clsim.paths.vertices.scatterer import centre_of
+from clsim.scene.scatterer import Scatterer
+from clsim.scene.scene import Scene
+
+_RIGHT = 1e-9  # cosine of an angle that counts as a right one
+_ROUNDS = 3  # of finding when sound passes a body, each by the Mach number of the body
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShadeVertex:
+    """Shadows on P paths, each of parts between walls: S of all N of a scene, those of path p from ``first[p]`` on.
+
+    A part is where the room would be by the walls before it, as an image of the source's own.
+    """
+
+    path: NDArray[np.int64]  # (P,) which of the N
+    first: NDArray[np.int64]  # (N + 1,)
+    matrix: Floats  # (S, 3, 3) of that isometry
+    offset: Floats  # (S, 3) likewise, m
+    walls: Integers  # (S, N) these walls, -1 for none
+    scatterers: tuple[Scatterer, ...]  # of the scene
+
+    kind: ClassVar[str] = "shade"
+    interaction: ClassVar[int] = SHADOW
+    names: ClassVar[tuple[str, ...]] = ()
+    radius: ClassVar[float] = 0.0
+    swiftest: ClassVar[None] = None
+    costly: ClassVar[bool] = False
+    is_complex: ClassVar[bool] = True
+    varies: ClassVar[bool] = True
+    one_by_one: ClassVar[bool] = True
+    approximate: ClassVar[bool] = True
+    outlined: ClassVar[bool] = True
+    on_device: ClassVar[bool] = True
+
+    def part(self, rows: Rows) -> ShadeVertex:
+        """Return the shadows on some of the paths."""
+        return replace(self, path=self.path[rows])
+
+    def in_scene(self, scene: Scene) -> Self:
+        """Return the same shadows with scatterers and walls of another scene."""
+        leg = StaticLeg(self.matrix, self.offset).in_scene(scene, self.walls)
+        return replace(self, offset=leg.offset, scatterers=tuple(scene.scatterers))
+
+    def named(self, moving: bool) -> Iterator[tuple[str, Any]]:
+        """Yield the columns by name."""
+        for name in ("path", "first", "matrix", "offset"):
+            yield name, getattr(self, name)
+
+    @property
+    def moves(self) -> bool:
+        """Whether any body moves or turns."""
+        return not all(scatterer.is_static for scatterer in self.casting)
+
+    @property
+    def casting(self) -> list[Scatterer]:
+        """The scatterers with outlines."""
+        return [scatterer for scatterer in self.scatterers if scatterer.shape.outlined]
+
+    def groups(self) -> list[NDArray[np.int64]]:
+        """Rows of one path, whose shadows are found together."""
+        return [np.flatnonzero(self.path == path) for path in np.unique(self.path)]
+
+    def speeds(self, moving: bool) -> Floats:
+        """Bounds (P,) of the speeds by which delays change: none, m/s."""
+        return np.zeros(len(self))
+
+    def on_static_legs(self, links: Links, times: Floats, kinematics: Kinematics) -> Arrivals:
+        """Solve the paths, which are those by walls."""
+        return static_arrivals(links, times, kinematics)
+
+    def respond(self, links: Links, found: Arrivals, times: Floats, passing: Any, at: SceneResponse) -> Any:
+        """Responses (P, T, F) by what shadows add, and by what air and walls let pass, (P, T, F)."""
+        leg, (source, receiver), sent = links.legs[0], links.motions, found.emission_time
+        begin = source.position(sent.ravel()).reshape(*sent.shape, 3)
+        received = np.broadcast_to(times, sent.shape)
+        end = leg.turned_back(receiver.position(received.ravel()).reshape(begin.shape) - leg.offset[:, None])
+        wave = 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound
+        centre = centre_of(links)
+        passed = np.ones((*sent.shape, len(wave)), dtype=np.complex128)
+        for mine in self.groups():
+            times_of, factor = (sent[mine].ravel(), received[mine].ravel()), passed[mine].reshape(-1, len(wave))
+            for part in range(*self.first[self.path[mine[0]] :][:2]):
+                seen = [x[mine].reshape(-1, 3) @ self.matrix[part].T + self.offset[part] for x in (begin, end)]
+                for scatterer in self.casting:
+                    _shade(scatterer, (wave, centre), (seen[0], seen[1]), times_of, factor)
+            passed[mine] = factor.reshape(len(mine), -1, len(wave))
+        return passing * (found.mach_factor / found.length)[..., None] * (passed - 1.0)
+
+    def largest(self, links: Links, at: SceneResponse) -> float:
+        """Bound of what shadows add to pressure: two bodies behind each other on the axis are the loudest."""
+        return 1.0 + LOUDEST_SHADE**2
+
+    def __len__(self) -> int:
+        return len(self.path)
+
+
+def _shade(
+    scatterer: Scatterer, waves: tuple[Floats, float], ends: tuple[Floats, Floats], times: tuple[Floats, Floats],
+    passed: Any,
+) -> None:  # fmt: skip
+    """Multiply pressures (n, F) of sound between ends (n, 3), m, at times (n,), s, by the shade of one body.
+
+    Sound goes straight, and evenly: it is at a share of its way at that share of its time.
+    """
+    begin, along = ends[0], ends[1] - ends[0]
+    size = np.maximum(np.sum(along**2, axis=1), 1e-30)
+    share, shape = np.full(len(begin), 0.5), scatterer.shape
+    for _ in range(_ROUNDS):
+        now = times[0] + share * (times[1] - times[0])
+        away = scatterer.trajectory.position(now) - begin
+        share = np.clip(np.sum(away * along, axis=1) / size, 0.0, 1.0)
+    zone = 2.0 * WITHIN * np.sqrt(0.5 * math.pi * np.sqrt(size) / waves[1])  # the widest, in the middle
+    near = np.flatnonzero(np.linalg.norm(away - share[:, None] * along, axis=1) < shape.radius + zone)
+    if not len(near):
+        return
+    now, seen = now[near], [-away[near], (along - away)[near]]
+    if scatterer.trajectory.has_orientation:
+        back = inverse(scatterer.trajectory.orientation(now))
+        seen = [rotate(back, x) for x in seen]
+    casting: Any = shape
+    passed[near] *= shade(casting.outline, *waves, *seen)
+
+
+def shaded_paths(scene: Scene, paths: Chain, order: int) -> Chain:
+    """Find the shadows on paths of up to `order` reflections."""
+    check_support("static shade", scene.air)
+    rows = np.flatnonzero(paths.order <= order)
+    some: Any = paths.part(rows)
+    sequences = [tuple(x for x in walls if x >= 0) for walls in some.walls.tolist()]
+    known = {walls: _parts(walls, scene) for walls in dict.fromkeys(sequences)}
+    counts = np.array([len(known[walls]) for walls in sequences], dtype=np.int64)
+    met = [part for walls in sequences for part in known[walls]]
+    before = np.full((len(met), order), -1, dtype=np.int32)
+    for row, walls in zip(before, met, strict=True):
+        row[: len(walls)] = walls
+    matrix, offset, faces = np.tile(np.eye(3), (len(met), 1, 1)), np.zeros((len(met), 3)), scene.room.faces
+    for wall in before.T:
+        normal = np.where(wall[:, None] >= 0, faces.normals[wall], 0.0)
+        matrix = matrix - 2.0 * normal[:, :, None] * np.einsum("pi,pij->pj", normal, matrix)[:, None]
+        height = np.sum(normal * offset, axis=1) - np.where(wall >= 0, faces.offsets[wall], 0.0)
+        offset = offset - 2.0 * height[:, None] * normal
+    vertex = ShadeVertex(
+        read_only(np.arange(len(some))), read_only(firsts(counts)), read_only(matrix), read_only(offset),
+        read_only(before), tuple(scene.scatterers),
+    )  # fmt: skip
+    last = np.full((len(some), 1), -1)
+    kinds, objects = (np.append(x, last, axis=1) for x in (some.interactions, some.objects))
+    ends = np.sum(some.interactions != NONE, axis=1)
+    kinds[np.arange(len(some)), ends] = SHADOW
+    shaded: Chain = replace(some, interactions=read_only(kinds), objects=read_only(objects), vertex=vertex)
+    return shaded
+
+
+def _parts(walls: tuple[int, ...], scene: Scene) -> list[tuple[int, ...]]:
+    """List the walls before each part of a path, from the source's side.
+
+    In convex rooms walls at right angles to each other may stand in another order than they are met in: parts that a
+    path does not have lie outside the room.
+    """
+    normals, groups = scene.room.faces.normals, list[list[int]]()
+    for wall in walls:
+        alike = [g for g in groups if not scene.room.is_convex or np.any(np.abs(normals[g] @ normals[wall]) > _RIGHT)]
+        groups = [g for g in groups if g not in alike] + [[*(x for g in alike for x in g), wall]]
+    begins = [[group[:count] for count in range(len(group) + 1)] for group in groups]
+    return [tuple(wall for begin in split for wall in begin) for split in product(*begins)]
