@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any, cast
 
 import numpy as np
@@ -76,7 +76,7 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
     63
     """
     levels, search = direct_levels(scene, options.direct), _Search(scene, options)
-    found = (*search.unscattered(), *search.scattered())
+    found = (*search.unscattered, *search.scattered())
     paths = PathSet(scene, found if np.all(levels == 1.0) else with_direct(found, levels))
     if scene.scatterers:
         warn_without_shadows(paths, options.scattering_order)
@@ -86,16 +86,16 @@ def find_paths(scene: Scene, options: PathOptions) -> PathSet:
     return paths
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Search:
     """Looks for the paths of a scene, kind after kind."""
 
     scene: Scene
     options: PathOptions
-    plain: list[PathFamily] = field(default_factory=list)  # that meet no scatterer, once they are found
 
+    @cached_property
     def unscattered(self) -> tuple[PathFamily, ...]:
-        """Find the paths that meet no scatterer."""
+        """The paths that meet no scatterer."""
         scene, options, edges = self.scene, self.options, _KINDS[self.options.diffraction]
         finders = with_plugins(FAMILY_FINDERS, PATH_FAMILIES)
         steps = len(finders) + edges
@@ -114,7 +114,6 @@ class _Search:
                 found = (*found, of_bodies(bodies, found))
         if edges and options.edge_fades:
             found = Fading(found, options.direct is True).families
-        self.plain.extend(found)
         return found
 
     def scattered(self) -> list[PathFamily]:
@@ -154,7 +153,7 @@ class _Search:
         elif search.diffraction and cut_off:
             warn("scatterers go behind edges, where their echoes end at once (edge_scattering=True lets them fade)")
         if any(scatterer.shape.outlined for scatterer in scene.scatterers):
-            found += [shaded_paths(scene, cast("Any", each), order) for each in self.plain if each.is_specular]
+            found += [shaded_paths(scene, cast("Any", each), order) for each in self.unscattered if each.is_specular]
         return found
 
 

@@ -115,9 +115,9 @@ class _EarRun(ChannelRun):
             step = threads * max(1, self._engine.at_once // (4 * threads * of_node))
             for some in (wanted[k : k + step] for k in range(0, len(wanted), step)):
                 where = self._where(np.array(some) * grid.spacing - first, first, block, first_block)
-                self._heard(nodes, some, where, i, vectors)
+                self._receive(nodes, some, where, i, vectors)
 
-    def _heard(self, nodes: Any, some: list[int], where: dict[str, Any], i: int, vectors: NDArray[np.int32]) -> None:
+    def _receive(self, nodes: Any, some: list[int], where: dict[str, Any], i: int, vectors: NDArray[np.int32]) -> None:
         """Add the sound of the components of receiver i of the batch at some nodes."""
         import pyopencl as cl
 
