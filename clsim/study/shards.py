@@ -48,8 +48,7 @@ def write_member(path: Path, made: Computed, form: str, row: Row) -> None:
     labels |= {key: value for key, value in content.attrs.items() if isinstance(value, str | float | int)}
     labels |= {str(key): _plain(str(key), value.values) for key, value in content.variables.items()}
     labels["files"] = [{"name": key, "sha256": _sha256(data)} for key, data in files.items()]
-    content_text = _text(labels)
-    text = f'{content_text[:-1]}, "sha256": "{_sha256(content_text)}"}}'.encode()
+    text = _text(labels | {"sha256": _sha256(_text(labels))}).encode()
     with safe_path(path) as temporary, tarfile.open(temporary, "w", format=tarfile.USTAR_FORMAT) as archive:
         for key, data in ({f"{name}.json": text} | files).items():  # without time or owner: equal members, equal bytes
             about = tarfile.TarInfo(key)

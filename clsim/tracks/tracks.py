@@ -92,7 +92,6 @@ class Tracks(ABC):
         """
         return self.evaluate_together([pair], times, basis, rows, every)[0]
 
-    @abstractmethod
     def evaluate_together(
         self, pairs: Sequence[int], times: Floats, basis: Basis, rows: NDArray[np.int64] | None = None, every: int = 1
     ) -> list[tuple[Floats, Floats, Floats]]:
@@ -117,6 +116,7 @@ class Tracks(ABC):
             Of each pair delays from emission to reception, s, their derivatives by the time of reception, s/s, and
             received over emitted pressure, by channels of the receiver and functions of the basis.
         """
+        return [self.evaluate(pair, times, basis, rows, every) for pair in pairs]
 
     def paths_of(self, pair: int) -> Any:
         """Return a key that pairs have in common whose paths are the same; `pair` is an index of `pairs`."""
@@ -138,9 +138,9 @@ class Tracks(ABC):
         """Return bounds (paths,), (paths,) on the delays of a `pair`'s paths received from `start` to `end`, s."""
         return self.delay_ranges([pair], start, end)[0]
 
-    @abstractmethod
     def delay_ranges(self, pairs: Sequence[int], start: float, end: float) -> list[tuple[Floats, Floats]]:
         """Return bounds (paths,), (paths,) on the delays of each of `pairs` received from `start` to `end`, s."""
+        return [self.delay_range(pair, start, end) for pair in pairs]
 
     def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
         """Return a bound on delays from `start` to `end` of reception, s, of one `source` or all; 0 without paths."""

@@ -189,5 +189,21 @@ def test_the_sum_knows_directions_beside_ends_and_jumps(jumps: bool, monkeypatch
     """Interpolation over fewer samples gives the same: few nodes are known in a short run, and none beyond a jump."""
     paths = walk(smooth=False) if jumps else room_of(0.5, clsim.Trajectory.fixed((4.5, 2.8, 1.2)), order=1)
     made = sound(planned(paths, channels=False))
-    monkeypatch.setattr(ears, "_SPACINGS", (64,))
+    monkeypatch.setattr(ears, "_SPACINGS", (32,))
     assert apart_db(made, sound(planned(paths, channels=False))) < -100.0
+
+
+def test_the_sum_follows_the_knots_of_motions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Directions that change little, but within milliseconds: a head on a small circle of few waypoints."""
+    times = np.linspace(0.0, 0.4, 13)
+    places = (4.5, 2.8, 1.2) + 0.07 * np.stack([np.cos(15.0 * times), np.sin(15.0 * times), 0.0 * times], axis=1)
+    tone = clsim.Signal.tone(11.4e3, 0.3, 48e3, fade=0.01)
+    source = clsim.Source("s", tone, clsim.Trajectory.fixed((3.5, 3.6, 1.9)))
+    head = clsim.Receiver("head", clsim.Trajectory.waypoints(times, places), clsim.SphericalHead())
+    scene = clsim.Scene(
+        clsim.Shoebox((6.0, 5.0, 3.0), clsim.Material.from_reflection(0.9)), clsim.Air(), [source], [head]
+    )
+    paths = clsim.find_paths(scene, 0)
+    made = clsim.render(paths, 48e3, duration=0.3, channels=False).samples
+    monkeypatch.setattr(ears, "_SPACINGS", (64,))
+    assert apart_db(made, clsim.render(paths, 48e3, duration=0.3, channels=False).samples) < -90.0

@@ -25,8 +25,8 @@ from clsim.tracks.tracks import SceneTracks
 
 LANES = 8  # components side by side
 _DIRECTIONS = 2500  # evenly over the sphere, whose responses tell the components
-_LEFT_OUT_DB = -96.0  # of all responses, and of what functions of frequency make of them
-_FREQUENCIES = 1.5  # times as many numbers as components, from which their weights follow
+_LEFT_OUT_DB = -112.0  # of all responses, and of what functions of frequency make of them
+_FREQUENCIES = 3.0  # times as many numbers as components, from which their weights follow
 _BLOCK = 4  # times the length of responses that are filtered at a time
 
 

@@ -38,6 +38,8 @@ from clsim.tracks.tracks import SceneTracks, Tracks
 
 _SPACINGS = (4608, 3072, 2304, 1536, 1024, 768, 512, 384, 256, 192, 128, 96, 64)  # samples, divisors of a segment
 _EVERY = 192  # samples, after which directions are looked at before a spacing is chosen
+_SMOOTH = 5e-3  # s for which motions are smooth: splines have knots
+_STEADY = 0.05  # of that angle, up to which directions are interpolated over longer times
 _SPARE = 1.1  # times that angle, up to which nodes beside a segment may lie apart
 _AT_ONCE = 32  # paths of a segment that are filtered at a time
 
@@ -129,7 +131,8 @@ class EarFrames:
         towards, _ = self._directions(paths, first + _EVERY * np.arange(-(-count // _EVERY) + 1))
         fastest = _largest_step(towards) / _EVERY
         for spacing in _SPACINGS:
-            if spacing * fastest <= turn or spacing == _SPACINGS[-1]:
+            most = turn if spacing <= _SMOOTH * self.plan.sampling_rate else _STEADY * turn
+            if spacing * fastest <= most or spacing == _SPACINGS[-1]:
                 near = first // spacing - BEFORE + np.arange(-LAGRANGE, -(-count // spacing) + 2 * LAGRANGE - 1)
                 # Nodes at either end tell how motions go on beyond their ends.
                 found, enough = self._continued(paths, spacing * near, piece)

@@ -22,6 +22,7 @@ SHORTEST, LONGEST = 1e-9, 1e9  # s, bounds of lengths of time
 _BATCH = 8192  # ranges evaluated at a time
 _SAME = 1e-9  # relative difference of speeds that does not matter
 _SPARE = 1.0 + 1e-12  # for the rounding of bounds
+_LEAST_SINE = 1e-12  # of the angle between quaternions, below which they differ by rounding
 
 
 class Turning(Protocol):
@@ -146,6 +147,7 @@ def turning_between(times: Floats, quaternions: Floats) -> GreatArcs:
     sine = np.linalg.norm(across, axis=1, keepdims=True)
     side = np.divide(across, sine, out=np.zeros_like(across), where=sine > 0.0)
     angle = np.arctan2(sine, cosine)[:, 0]
+    angle[sine[:, 0] < _LEAST_SINE] = 0.0
     return GreatArcs(read_only(times), read_only(base), read_only(side), read_only(angle))
 
 
