@@ -26,6 +26,8 @@ from clsim.opencl.launch import work
 from clsim.paths.path_set import PathSet
 from clsim.render import plan as plan_module
 from clsim.render.diffuse_tail import DeviceWaves
+from clsim.render.methods.ear_channel import EarChannelEngine
+from clsim.render.methods.ear_components import Heads as Components
 from clsim.render.methods.ears import EarEngine
 from clsim.render.opencl import baseband_engine as envelope_module
 from clsim.render.opencl import batches as layout_module
@@ -357,6 +359,30 @@ class Channels:
 def channels(device: str) -> Channels:
     """Impulse responses of a receiver at nodes."""
     return Channels(plan(world(walls=[CURTAIN, *REAL[1:]]), device))
+
+
+@dataclasses.dataclass(frozen=True)
+class EarChannels:
+    """Sound by impulse responses of the components of a head at nodes."""
+
+    scene: clsim.Scene
+    plan: Plan
+
+    def heard(self, lanes: int) -> np.ndarray:
+        tracks = self.plan.tracks.of_scene
+        heads = Components.among(self.scene, tracks, self.plan.source_filters, RATE)
+        pressure = np.zeros((2, self.plan.samples), np.float32)
+        EarChannelEngine(self.plan, 64, heads).add_ears(np.zeros(1, np.int32), pressure, 0)
+        return pressure
+
+
+@scene
+def ear_channels(device: str) -> EarChannels:
+    """A head of few components: at low frequencies."""
+    low = clsim.Signal.chirp(1e3, 4e3, 0.02, RATE, window="tukey")
+    one = world(low, beams=(clsim.Omni(), clsim.SphericalHead()))
+    ears = plan(one, device, blocks=()).allocation.ears[0].plan
+    return EarChannels(one, dataclasses.replace(ears, blocks=(96,), builders=[]))
 
 
 @dataclasses.dataclass(frozen=True)

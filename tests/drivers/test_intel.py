@@ -15,7 +15,7 @@ from drivers import EVERYTHING, INTEL, OPTIONS, PARITY_DB, Driver, apart_db, lau
 from clsim.opencl.launch import PROGRAMS
 
 AS_USERS = [
-    "crowd.cpu", "waves.cpu", "rays.cpu", "channels.cpu", "tapered.cpu", "moments.cpu", "heads.cpu", "doubled.cpu",
+    "crowd.cpu", "waves.cpu", "rays.cpu", "channels.cpu", "tapered.cpu", "ear_channels.cpu", "moments.cpu", "heads.cpu", "doubled.cpu",
     "baseband_pulses.cpu", "baseband_bend.cpu", "pairs.cpu", "plain.gpu",
 ]  # fmt: skip
 SCALAR = [

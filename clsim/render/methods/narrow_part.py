@@ -358,7 +358,8 @@ def _obstacle(
 
 def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[float, float, float]) -> float:
     """Estimate the level of a carrier tone outside the envelope's band, relative to it, from a sample of paths."""
-    carrier, max_rate = narrow.baseband.carrier, tracks.max_rate(tracks.pairs[pair].source)
+    carrier, member = narrow.baseband.carrier, tracks.pairs[pair]
+    max_rate, fades = tracks.max_rate(member.source), getattr(tracks.pair_paths[pair].family, "fades", None) is not None
     # What is farther off than the skirts is folded, and stays outside.
     shift, skirt = carrier * max_rate, narrow.half - narrow.flat
     rate = min(2.0 * (narrow.baseband.sampling_rate or 0.0), 8.0 * (shift + skirt))
@@ -372,6 +373,8 @@ def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[floa
     for k, begin in enumerate(begins.tolist()):
         delay, gain = (a[:, k * count : (k + 1) * count] for a in (delays, gains[0]))
         audible = (begin - delay[:, 0] >= span[0] - _STRETCH) & (begin + _STRETCH - delay[:, -1] <= span[1] + _STRETCH)
+        if fades:  # briefer ones belong to paths of a few milliseconds
+            audible &= (member.start[rows] <= begin) & (begin + _STRETCH <= member.end[rows])
         spectrum = np.fft.fft((gain * np.exp(-2j * math.pi * carrier * delay) * window)[audible], axis=1)
         level = np.maximum(np.linalg.norm(spectrum, axis=1), 1e-300)
         worst = max(worst, float((np.linalg.norm(spectrum[:, outside], axis=1) / level).max(initial=0.0)))

@@ -143,7 +143,8 @@ class ChannelEngine(OpenclEngine):
         """Return the tables of transforms of frames, and the weights of their samples, on the device."""
         if frames.grid not in self._tables:
             names = "radix", "turns", "lane_turns", "back_turns"
-            made = {name: getattr(frames.transform, name) for name in names} | {"weights": np.pad(frames.window, FINER)}
+            window = np.pad(frames.window, FINER).astype(np.float32)
+            made = {name: getattr(frames.transform, name) for name in names} | {"weights": window}
             self._tables = {frames.grid: {name: self._upload(table) for name, table in made.items()}}
         return self._tables[frames.grid]
 
