@@ -23,7 +23,7 @@ from clsim.paths.vertices.edge import EdgeVertex
 
 _LEAST = 2e-4  # jump of the pressure that is left, over that of the strongest path
 _NEAR = 3e-5  # s between beginnings and ends of one event
-_BESIDE = 5e-7  # s from these, where paths are evaluated: bodies' are up to 0.2 µs late
+_BESIDE, _BESIDE_BODIES = 1e-7, 5e-7  # s from these, where paths are evaluated: bodies' are up to 0.2 µs late
 _SHORTEST, _LONGEST = 1e-3, 0.25  # s, of fades
 _FREQUENCIES = np.array([0.8, 1.0, 1.25])  # of the centre frequency
 _INSTANTS = 33  # at which the strongest path without edges is looked for
@@ -96,7 +96,8 @@ class _PairEvents:
         for number in np.unique(events.family[which]).tolist():
             mine, chain = events.family[which] == number, events.chains[number]
             over_edges[mine] = isinstance(chain.vertex, EdgeVertex)
-            ahead = _BESIDE * (1.0 - 2.0 * events.side[which[mine]])  # there are no steps within the interval
+            beside = _BESIDE_BODIES if events.scene.bodies else _BESIDE
+            ahead = beside * (1.0 - 2.0 * events.side[which[mine]])  # there are no steps within the interval
             near, far = (_each(chain, events.row[which[mine]], time[mine] + x * ahead, at) for x in (1.0, 3.0))
             value[mine], delay[mine] = (1.5 * one - 0.5 * other for one, other in zip(near, far, strict=True))
         loudest = _strongest(events, pair, np.linspace(exact[0], exact[-1], _INSTANTS), at, direct)(time)
