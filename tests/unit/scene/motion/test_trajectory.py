@@ -54,6 +54,12 @@ def test_fixed_point_stays_for_ever_and_velocity_is_zero():
     np.testing.assert_array_equal(point.orientation(t), [[0, 0, 0, 1]] * 3)
 
 
+def test_fixed_orientations_do_not_turn_by_rounding(rng):
+    """A receiver flush in a skew body at rest moved, by 2e-16 rad, for ever."""
+    for quaternion in rng.normal(size=(50, 4)):
+        assert not Trajectory.fixed((4.0, 3.0, 1.5), quaternion / np.linalg.norm(quaternion)).turns
+
+
 def test_fixed_orientation_is_normalised_and_held():
     point = Trajectory.fixed((0, 0, 0), orientation=(0.6, 0, 0, 0.801))
     assert point.has_orientation
