@@ -199,9 +199,8 @@ def swinging(device: str) -> Plan:
     return plan(PathSet(of, (some,)), device, duration=96 / RATE)
 
 
-@scene
-def sonar(device: str) -> Plan:
-    """Paths by an ellipsoid that turns, by a capsule and a sphere, which have phases, and by a point, with walls, in wind."""
+def among_things(device: str, family: int, step: int) -> Plan:
+    """Return the plan of every so many paths of a family: images, paths by things, and shadows on images, in wind."""
     turned = [[0.0, 0.0, 0.0, 1.0], [0.0, 0.1, 0.2, 0.97468]]
     way = clsim.Trajectory.waypoints([0.0, 0.04], [(0.08, 0.06, 0.05), (0.08, 0.061, 0.05)], turned)
     things = [
@@ -213,12 +212,24 @@ def sonar(device: str) -> Plan:
         clsim.Scatterer.point("p", -40.0, LINE((0.12, 0.03, 0.03), (0.12, 0.03, 0.031), 0.04)),
     ]
     of = dataclasses.replace(world(air=WINDY), scatterers=things)
-    found = clsim.find_paths(of, 0, scattering_order=1).families[-1]
-    few = np.arange(0, len(found), 26)  # of each one with walls on both legs, and one with fewer
+    found = clsim.find_paths(of, 0, scattering_order=1).families[family]
+    few = np.arange(0, len(found), step)
     paths = PathSet(of, (found.part(few),))
     made = plan(paths, device, responses="centre", duration=96 / RATE, scattering_error_db=None)
     (part,) = made.allocation.scattered  # all of them
     return dataclasses.replace(part.plan, blocks=(96,), builders=BUILDERS)
+
+
+@scene
+def sonar(device: str) -> Plan:
+    """Paths by an ellipsoid that turns, by a capsule and a sphere, which have phases, and by a point, with walls."""
+    return among_things(device, -2, 26)  # of each one with walls on both legs, and one with fewer
+
+
+@scene
+def shadows(device: str) -> Plan:
+    """Shadows of an ellipsoid and a capsule on the direct sound."""
+    return among_things(device, -1, 1)
 
 
 @scene

@@ -24,7 +24,7 @@ OPTIONS = {
     "RETARDED": {"0", "1"}, "STATIC_RECEIVERS": {"0", "1"}, "MACH_EXPONENT": {"0", "1", "2"}, "DELAY_TERMS": {"4", "8"},
     "SOURCE_DIRECTIVITY": {"0", "1", "2"}, "RECEIVER_DIRECTIVITY": {"0", "1", "2"}, "NODES_AT_ONCE": {"1", "4"},
     "WIND": {"0", "1"}, "AIR_TERMS": {"0", "2"}, "AT_EDGE": {"0", "1"}, "GAP": {"0", "1"}, "GROUPED": {"0", "1"}, "ORDER": {"0", "1"},
-    "LEG": {"0", "1"}, "VERTEX": {"0", "1", "2"}, "MIRRORS": {"0", "2"},
+    "LEG": {"0", "1"}, "VERTEX": {"0", "1", "2", "3"}, "MIRRORS": {"0", "2"},
     "FREQUENCIES": {"1", "8"}, "WORKERS": {"1", "32"}, "APART": {"0", "1"}, "CONVEX": {"0", "1"}, "SIZED": {"0", "1"},
     "PAIRED": {"0", "1"}, "TILTED": {"0", "1"}, "TAPERED": {"0", "1"}, "TRIMMED": {"0", "1"},
 }  # fmt: skip

@@ -20,7 +20,7 @@ AS_USERS = [
 ]  # fmt: skip
 SCALAR = [
     "functions.cpu", "harmonics.cpu", "phased.cpu", "fine.cpu", "pulses.cpu", "mesh.cpu", "bend.cpu", "swinging.cpu", "sonar.cpu",
-    "pairs_pulses.cpu", "lopsided.cpu", "baseband_tilted.cpu", "baseband.gpu", "waves.gpu", "moments.gpu",
+    "shadows.cpu",    "pairs_pulses.cpu", "lopsided.cpu", "baseband_tilted.cpu", "baseband.gpu", "waves.gpu", "moments.gpu",
 ]  # fmt: skip
 ALL = [f"{name}.{layout}" for name in SCENES for layout in ("cpu", "gpu")]
 INTEL_SCALAR = dataclasses.replace(INTEL, settings={"CL_CONFIG_CPU_VECTORIZER_MODE": "1"})

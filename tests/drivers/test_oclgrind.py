@@ -28,10 +28,12 @@ from exhaustive import exhaustive, few
 
 from clsim.opencl.launch import PROGRAMS
 
-# Every kernel with every option is in these: `doubled` does what `plain` does.
-FEW = [name for name in SCENES if EVERYTHING or name != "plain"]
+# Scenes of `scatter`, in whose transforms of vectors of 16 Oclgrind itself ends (signal 11): Intel's runtime runs them,
+# and PoCL. Every other kernel, with every option, is in FEW, but for those of tapers. `doubled` does what `plain` does.
+ENDS = {"channels", "tapered"}
+FEW = [name for name in SCENES if name not in ENDS and (EVERYTHING or name != "plain")]
 BY_CPU = [f"{name}.cpu" for name in FEW]
-BY_GPU = [f"{name}.gpu" for name in (SCENES if EVERYTHING else FEW_ON_GPUS)]
+BY_GPU = [f"{name}.gpu" for name in (FEW if EVERYTHING else FEW_ON_GPUS)]
 # Those of programs that share files with others, in which the same options have run.
 OPTIONS_OF = {
     "tracks": {
@@ -40,7 +42,7 @@ OPTIONS_OF = {
         "SPARSE": {"0", "1"},
         "NODES_AT_ONCE": {"1", "4"},
         "LEG": {"0", "1"},
-        "VERTEX": {"0", "1", "2"},
+        "VERTEX": {"0", "1", "2", "3"},
         "MIRRORS": {"0", "2"},
     },
     "pair_tracks": {"AIR_TERMS": {"0", "2"}, "SPARSE": {"0", "1"}, "STATIC_RECEIVERS": {"0", "1"}},
@@ -48,7 +50,7 @@ OPTIONS_OF = {
         "WIND": {"0", "1"},
         "NODES_AT_ONCE": {"1", "4"},
         "LEG": {"0", "1"},
-        "VERTEX": {"0", "1", "2"},
+        "VERTEX": {"0", "1", "2", "3"},
         "MIRRORS": {"0", "2"},
     },
     "intervals": {"WIND": {"0", "1"}, "ORDER": {"0", "1"}},
@@ -110,7 +112,7 @@ def test_not_one_report_of_one_scene(simulated: Callable[..., Path]) -> None:
 
 @pytest.mark.exhaustive
 def test_scenes_run_every_kernel_with_every_option(by_pocl: Callable[..., Path]) -> None:
-    ran = launched(by_pocl(), *BY_CPU, *BY_GPU)
+    ran = launched(by_pocl(), *BY_CPU, *BY_GPU, *(f"{name}.cpu" for name in sorted(ENDS)))
     assert {program for program, _ in ran} == set(PROGRAMS)
     assert unseen(ran, OPTIONS) == {}
     for program, options in OPTIONS_OF.items():
