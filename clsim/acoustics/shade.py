@@ -8,7 +8,7 @@ from clsim.acoustics.outline import Outline, counts_of_points
 from clsim.acoustics.silhouette import forward_share, outline_field
 from clsim.arrays import Complexes, Floats
 
-LOUDEST_SHADE = 2.5  # behind a sphere on the axis 2.4 times the free field is heard
+LOUDEST_SHADE = 2.5  # behind a sphere on the axis 2.4 times the free field arrives
 
 
 def shade(outline: Outline, wave: Floats, centre: float, source: Floats, receiver: Floats) -> Complexes:

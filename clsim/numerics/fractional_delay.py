@@ -123,7 +123,7 @@ def _fitted(target: Floats, even: Floats, odd: Floats, weight: Floats) -> Floats
 @lru_cache(maxsize=16)  # of some 200 KB each: banks of one band are tried in one order of lengths
 def _branch_shapes(half: int, cutoff: float) -> tuple[Floats, NDArray[np.bool_], Floats, Floats]:
     """Return the frequencies (n,) of the least squares, whether each is in the band, and responses of taps there."""
-    # Those are real of even branches, (n, half + 1), and -j times what is told of odd ones, (n, half).
+    # Those are real of even branches, (n, half + 1), and -j times those of odd ones, (n, half).
     w = np.linspace(0.0, math.pi, 8 * (half + 1) + 128)
     inside = w <= cutoff * (1 + 1e-12)
     w = np.union1d(w, np.linspace(0.0, cutoff, int(inside.sum()) + 32))

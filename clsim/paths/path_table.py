@@ -125,7 +125,7 @@ class PathTable:
 
 
 def long_columns(table: PathTable, rows: range, words: Callable[[Sequence[str], Any], Any]) -> dict[str, Any]:
-    """Return the columns of some paths, a row per path and time at which it is heard."""
+    """Return the columns of some paths, a row per path and time at which it is received."""
     part = slice(rows.start, rows.stop)
     count = len(table.times)
     audible = np.isfinite(table.delay[part]).ravel()

@@ -281,11 +281,9 @@ def arrivals_by(
     delay = passage(*whole, source.position(times)[None])[1].time
     if noise is not None:
         delay = delay + noise[0]
-    emission_time = np.broadcast_to(times, delay.shape)
-    if kinematics.retarded:
-        if not math.isinf(source.end):  # a fixed source was where it is
-            delay = refine_delay(travel, delay, times)
-        emission_time = times - delay
+    if kinematics.retarded and not math.isinf(source.end):  # a fixed source was where it is
+        delay = refine_delay(travel, delay, times)
+    emission_time = times - delay if kinematics.retarded else np.broadcast_to(times, delay.shape)
     flat, shape = emission_time.ravel(), (*delay.shape, 3)
     start, velocity = source.position(flat).reshape(shape), source.velocity(flat).reshape(shape)
     (direction, sound, means), onwards = passage(*whole, start), leg_table.arrive(start)

@@ -232,10 +232,6 @@ class ChannelFilters:
         """Samples by which a response rings to either side."""
         return int(self.filters.shape[1] // 2)
 
-    def frames(self, grid: ChannelGrid, pressure: NDArray[Any], start: int) -> ChannelFrames:
-        """Return the frames that add responses of nodes to a piece of the pressure from a sample on."""
-        return ChannelFrames(self, grid, pressure, start)
-
     def grid(self, shortest: float, longest: float, spacing: int) -> ChannelGrid:
         """Return the grid for delays between two bounds, s."""
         rate = self.source.rate
@@ -340,7 +336,7 @@ def reference_channels(part: ChannelPart, start: int, stop: int) -> NDArray[Any]
     )
     ranges = [plan.tracks.delay_range(pair, start / rate - 1.0, stop / rate + 1.0) for pair in part.pairs]
     low, high = min(float(low.min()) for low, _ in ranges), max(float(high.max()) for _, high in ranges)
-    frames = channel.frames(channel.grid(low, high, part.spacing), pressure, start)
+    frames = ChannelFrames(channel, channel.grid(low, high, part.spacing), pressure, start)
     nodes = frames.active_nodes(frames.nodes)
     for pair in part.pairs if nodes else ():
         delay, _, gain = plan.tracks.evaluate(pair, np.array(nodes) * (part.spacing / rate), filters.basis)

@@ -56,7 +56,7 @@ def at_one_place(
 ) -> Responses:
     """Return the responses at a zone's middle, for a single static end there; weights (M, B)."""
     # moves: whether the source does: then there is a stream for each direction of departure. Sums of independent noise
-    # are noise: where no delay changes, directions of arrival need not be told apart.
+    # are noise: where no delay changes, directions of arrival are not distinguished.
     energy = tail.pairs[pair]
     rng = np.random.default_rng([tail.seed, source, *pair, _SHAPED])
     total = np.einsum("tmb,mb->tb", energy.energy, weights)[:, None, :]

@@ -55,9 +55,8 @@ __kernel void components(__global const int* delay, __global const float* polyno
 #if TAPERED
             if (weight[i] == 0.0f) continue;  // its place may lie beside the grid
 #endif
-            __global const float* w = window + phase[i] * (2 * TAPS);
             float spread[TAPS];
-            *(loose_vec*)spread = LOAD(w) + LOAD(w + TAPS) * between[i];
+            *(loose_vec*)spread = window_of(window, phase[i], between[i]);
             __global const float* own = weights + (node * (long)(last_slot - first_slot) + from - first_slot + i) * room;
             __global float* grid = made;
             for (int k = 0; k < functions; k++) {

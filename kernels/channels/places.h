@@ -14,3 +14,10 @@ static void find_places(ivec samples, vec rest, int* at, int* phase, float* betw
     *(loose_ivec*)phase = nearest(left) + 1;
     *(loose_vec*)between = fine - left;
 }
+
+// The window at the points about a path, between two rows of its table.
+static vec window_of(__global const float* window, int phase, float between)
+{
+    __global const float* w = window + phase * (2 * TAPS);
+    return LOAD(w) + LOAD(w + TAPS) * between;
+}

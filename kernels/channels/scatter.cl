@@ -96,8 +96,7 @@ __kernel void scatter(__global const int* delay, __global const float* polynomia
 #if TAPERED
                         if (weight[i] == 0.0f) continue;  // its place may lie beside the grid
 #endif
-                        __global const float* w = window + phase[i] * (2 * TAPS);
-                        const vec spread = LOAD(w) + LOAD(w + TAPS) * between[i];
+                        const vec spread = window_of(window, phase[i], between[i]);
                         __global float* out = GRID_OF(node, 0) + at[i];
                         for (int k = 0; k < some; k++, out += 2 * points) {
                             for (int part = 0; part <= ENVELOPE; part++) {

@@ -135,7 +135,7 @@ MUTANTS = {
     "gains of the block's beginning": ("LOAD(g + 3 * power), t);", "LOAD(g + 3 * power), -1.0f);"),
     "a point beside three samples": ("4 * thirds + nearest", "3 * thirds + nearest"),
     "one sample for a point": ("+ rest) * 1.33333333f", "+ rest) * 1.0f"),
-    "nothing between phases": ("* between[i]", "* 0.0f"),
+    "nothing between phases": ("* between;", "* 0.0f;"),
     "the next phase": ("nearest(left) + 1;", "nearest(left) + 2;"),
     "the next point": ("- (TAPS / 2 - 1)", "- (TAPS / 2)"),
     "the first path's gain for all": ("spread * gain[k][part][i]", "spread * gain[k][part][0]"),

@@ -173,8 +173,7 @@ def _end_field(
     of the terms of its own edge alone between the endpoint and the one rolled out.
     """
     (_, t_s, _), (_, t_r, _) = ends
-    (r_f, _, z_f), (r_n, _, z_n) = ends[ended], ends[1 - ended]
-    near = (r_n, z_n)
+    (r_f, _, z_f), near = ends[ended], ends[1 - ended][::2]
     bend = _bend_at_rest(pair, near, ended) if middle is None else _bend_in_motion(middle, near, ended)
     along, between, behind, length, slope, ahead, back, turn = bend
     beyond = np.maximum(np.sqrt(np.maximum(1.0 - slope**2, 0.0)) * length, diffraction.ON_LINE), along + slope * length
@@ -191,7 +190,7 @@ def _end_field(
         at_edge = term[..., None] * scale
         return diffraction.end_transition(root[..., None] * scale, at_edge) / diffraction.transition(at_edge)
 
-    slopes: list[Any] = [(r_f + beyond[0]) / rolled.length, r_n / behind]
+    slopes: list[Any] = [(r_f + beyond[0]) / rolled.length, near[0] / behind]
     breadths: list[Any] = [rolled.breadth, 2.0 * behind * (whole - behind) / whole * slopes[1] ** 2]
     legs = leg * behind / ((leg + between) * (between + behind))
     if ended:

@@ -158,12 +158,11 @@ def shaded_paths(scene: Scene, paths: Chain, order: int) -> Chain:
     before = np.full((len(met), order), -1, dtype=np.int32)
     for row, walls in zip(before, met, strict=True):
         row[: len(walls)] = walls
-    matrix, offset, faces = np.tile(np.eye(3), (len(met), 1, 1)), np.zeros((len(met), 3)), scene.room.faces
+    matrix, normals = np.tile(np.eye(3), (len(met), 1, 1)), scene.room.faces.normals
     for wall in before.T:
-        normal = np.where(wall[:, None] >= 0, faces.normals[wall], 0.0)
+        normal = np.where(wall[:, None] >= 0, normals[wall], 0.0)
         matrix = matrix - 2.0 * normal[:, :, None] * np.einsum("pi,pij->pj", normal, matrix)[:, None]
-        height = np.sum(normal * offset, axis=1) - np.where(wall >= 0, faces.offsets[wall], 0.0)
-        offset = offset - 2.0 * height[:, None] * normal
+    offset = StaticLeg(matrix, np.zeros((len(met), 3))).in_scene(scene, before).offset
     vertex = ShadeVertex(
         read_only(np.arange(len(some))), read_only(firsts(counts)), read_only(matrix), read_only(offset),
         read_only(before), tuple(scene.scatterers),

@@ -147,7 +147,7 @@ def sudden_times(end: Source | Receiver) -> Floats:
     heads = isinstance(directivity, ChannelDirectivity) and not directivity.by_functions
     jumps = turn_jumps(end.trajectory, LEAST_JUMP if heads else _LEAST_JUMP)
     jumps = jumps[:0] if type(directivity) is Omni else jumps
-    # Many are small, and near each other: measuring between nodes tells if they matter.
+    # Many are small, and near each other: measurements between nodes show if they matter.
     return np.union1d(end.trajectory.breaks, jumps if len(jumps) <= MOST_JUMPS else jumps[:0])
 
 

@@ -159,7 +159,7 @@ class ChannelEngine(OpenclEngine):
             active = self.branch_signals.active(source, first, last - first)
             if active:
                 grid = self._grid(filters, active)
-                frames = filters.frames(grid, pressure, start)
+                frames = ChannelFrames(filters, grid, pressure, start)
                 self._add_source(source, active, frames, (first, last - first))
         for residuals in self.residuals:
             residuals.settle(first // self._plan.segment)

@@ -244,7 +244,7 @@ class Run:
 class OpenclEngine:
     """Carries out a plan on an OpenCL device."""
 
-    parts: ClassVar[int] = 1  # rows of what is heard of a receiver
+    parts: ClassVar[int] = 1  # real rows of the sound of each receiver
     run: ClassVar[type[Run]] = Run  # renders a batch of receivers
 
     def __init__(self, plan: Plan, layout: Layout | None = None) -> None:

@@ -203,10 +203,9 @@ class NodeMaker:
             meanwhile()
         cl.enqueue_copy(self._queue, found, there[0])
         cl.enqueue_copy(self._queue, residual, there[1])
-        shortest, longest = float(found[..., 2].min()), float(found[..., 3].max())
-        self._columns.check(shortest, start / rate, (start + block * blocks) / rate)
-        squares = np.stack([found[..., 0], found[..., 1], residual])
-        return Nodes(delay, polynomials, activity, squares, shortest, longest)
+        span = float(found[..., 2].min()), float(found[..., 3].max())
+        self._columns.check(span[0], start / rate, (start + block * blocks) / rate)
+        return Nodes(delay, polynomials, activity, np.stack([found[..., 0], found[..., 1], residual]), *span)
 
     def _launch(
         self, chunk: DeviceChunk, start: int, segments: int, receivers: NDArray[Any], more: dict[str, Any]
