@@ -8,7 +8,7 @@ import pytest
 from made_responses import OffCentre
 
 import clsim
-from clsim.numerics.convolution import band_taper, delayed_sums, ringing
+from clsim.numerics.convolution import band_taper, ringing
 
 RATE = 192e3
 SIZE = (5.0, 4.0, 3.0)
@@ -32,13 +32,6 @@ def fixed(a=A, b=B, **options) -> clsim.Scene:
 def spectrum(found: clsim.ImpulseResponses, f: np.ndarray) -> np.ndarray:
     """Return the spectrum of the only pair's response at frequencies (F,)."""
     return np.array([np.sum(found.samples[0, 0] * np.exp(-2j * np.pi * x * found.times)) for x in f])
-
-
-def test_sums_of_delayed_impulses(rng: np.random.Generator) -> None:
-    size = 1000
-    delays, gains = np.concatenate([[0.0, 7.0, 999.99], rng.uniform(0, size, 50)]), rng.normal(size=(53, 9))
-    exact = gains.T @ np.exp(-2j * np.pi * np.outer(delays, np.arange(501)) / size)
-    np.testing.assert_allclose(delayed_sums(delays, gains, size), exact, atol=1e-9)
 
 
 @pytest.mark.parametrize("edges", [(0.0, 0.45, 0.0, 0.05), (0.1, 0.2, 0.05, 0.05), (0.2, 0.25, 0.1, 0.25)])

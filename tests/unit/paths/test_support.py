@@ -79,7 +79,9 @@ def searched(medium: str, more: str, *options: tuple[str, object]) -> clsim.Path
 
 # Wind is a column of legs, not of vertices: at every change it is searched in with a few of them.
 CASES = list(product(MEDIA, FOUND))
-AT_EVERY_CHANGE = [i for i, (medium, kind) in enumerate(CASES) if medium != "wind" or kind in ("static edge", "moving edge")]
+AT_EVERY_CHANGE = [
+    i for i, (medium, kind) in enumerate(CASES) if medium != "wind" or kind in ("static edge", "moving edge")
+]
 
 
 @pytest.mark.filterwarnings("ignore::clsim.ClsimWarning")
