@@ -160,6 +160,18 @@ def array_recording() -> clsim.Recording:
     return clsim.render(clsim.find_paths(scene, max_order=0), RATE, duration=0.4)
 
 
+def test_files_of_an_array_are_as_acoular_reads_them(tmp_path) -> None:
+    """Samples over channels with their rate, and places that `positions_from_file` reads as Acoular does."""
+    h5py, recording = pytest.importorskip("h5py", reason="h5py is not installed"), array_recording()
+    samples, geometry = clsim.write_acoular(recording, tmp_path / "array.h5")
+    signals, places = clsim.array_signals(recording)
+    with h5py.File(samples) as file:
+        np.testing.assert_array_equal(file["time_data"], signals.T)
+        assert file["time_data"].attrs["sample_freq"] == RATE
+    np.testing.assert_array_equal(clsim.positions_from_file(geometry), places)
+
+
+@pytest.mark.exhaustive
 def test_acoular_finds_a_source_in_files_of_an_array(tmp_path) -> None:
     """Its conventional beamformer's map is loudest where the source is, within a step of its grid."""
     if importlib.util.find_spec("acoular") is None:

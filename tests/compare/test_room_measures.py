@@ -8,14 +8,6 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.acoustics.room_acoustics import (
-    clarity,
-    decay_curve,
-    definition,
-    eyring_time,
-    reverberation_time,
-    sabine_time,
-)
 
 RATE = 16e3
 
@@ -66,20 +58,6 @@ def test_the_direct_sound_over_all_else(responses: clsim.ImpulseResponses) -> No
     direct = 0.95 * distance**-2  # of 0.95 of half the sampling rate, the part of the band
     expected = 10.0 * math.log10(direct / (energy - direct))
     assert whole.drr[0, 0, 0] == pytest.approx(expected, abs=1.0)
-
-
-def test_an_exponential_decay_is_what_it_is() -> None:
-    times = np.arange(20_000) / 10e3
-    taps = 10.0 ** (-3.0 * times / 0.7)  # 60 dB in 0.7 s
-    curve = decay_curve(taps)
-    assert reverberation_time(curve, 10e3, -5.0, -35.0) == pytest.approx(0.7, rel=1e-4)
-    assert math.isnan(reverberation_time(curve[:1000], 10e3, -5.0, -35.0))
-    late = 10.0 ** (-6.0 * 0.08 / 0.7)
-    assert clarity(taps, 800) == pytest.approx(10.0 * math.log10((1.0 - late) / late), abs=1e-3)
-    assert definition(taps, 800) == pytest.approx(1.0 - late, abs=1e-3)
-    area, air = np.array([10.0]), np.array([0.01])
-    assert sabine_time(100.0, area, air, 340.0)[0] == pytest.approx(24 * math.log(10) * 100 / (340 * 14.0))
-    assert eyring_time(100.0, 10.0, area, air, 340.0)[0] == 0.0
 
 
 def test_what_has_no_measures_is_refused(responses: clsim.ImpulseResponses) -> None:

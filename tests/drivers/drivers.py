@@ -111,7 +111,7 @@ def need_pocl() -> None:
 
 def render(driver: Driver, folder: Path, *names: str) -> str:
     """Render scenes, each a name, a layout and perhaps a mutant, into a folder; return what the driver reported."""
-    return run(driver, folder, str(HERE / "driver_scenes.py"), driver.platform, str(folder), *names)
+    return run(driver, folder, str(HERE / "driver_runs.py"), driver.platform, str(folder), *names)
 
 
 def apart_db(folder: Path, other: Path, name: str) -> float:

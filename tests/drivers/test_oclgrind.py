@@ -1,6 +1,6 @@
 """Every kernel with every option in Oclgrind, which simulates a GPU and reports invalid, racing and uninitialised reads.
 
-Three of its reports are false, each shown here by a kernel of its own; `driver_scenes.py` does without their causes.
+Three of its reports are false, each shown here by a kernel of its own; `driver_runs.py` does without their causes.
 """
 
 import json
@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from driver_scenes import SCENES, rendered
+from driver_runs import rendered
+from driver_scenes import SCENES
 from drivers import (
     EVERYTHING,
     FEW_ON_GPUS,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from driver_scenes import rendered
+from driver_runs import rendered
 from drivers import POCL, need_pocl
 
 

@@ -55,13 +55,6 @@ def test_run_writes_all_it_promises(scene: Path, tmp_path: Path, capsys, device)
     assert tomllib.loads((out / "scene.completed.toml").read_text("utf-8"))["render"]["duration"] > 0.05
 
 
-def test_run_does_not_write_over_results(scene: Path, tmp_path: Path, error_of, device) -> None:
-    arguments = ["run", str(scene), "-o", str(tmp_path / "out"), "--no-plots", "--duration", "0.01"]
-    assert main(arguments) == 0
-    assert "--force" in error_of(*arguments)
-    assert main([*arguments, "--force"]) == 0
-
-
 def test_check_and_paths_say_what_there_is(scene: Path, tmp_path: Path, capsys) -> None:
     assert main(["check", str(scene)]) == 0
     out = capsys.readouterr().out
@@ -150,15 +143,6 @@ def test_devices_lists_or_tells_what_to_install(capsys, monkeypatch: pytest.Monk
     printed = capsys.readouterr()
     assert status == (0 if printed.out else 2)
     assert printed.out.startswith("0:0") or "install" in printed.err
-
-
-def test_a_reader_that_has_seen_enough_is_no_error(scene: Path) -> None:
-    code = f"from clsim.cli import main; import sys; sys.exit(main(['check', {str(scene)!r}]))"
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen([sys.executable, "-c", code], **pipes) as process:
-        process.stdout.close()
-        assert process.stderr.read() == b""
-    assert process.returncode == 0
 
 
 def test_a_full_disk_names_the_file(scene: Path, tmp_path: Path, error_of, monkeypatch: pytest.MonkeyPatch) -> None:

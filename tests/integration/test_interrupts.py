@@ -138,59 +138,53 @@ def test_an_interrupt_is_one_line(number: int, folder: Path, rng: np.random.Gene
     assert not temporary(folder)
 
 
-# Some extension modules make an error of their own of what is raised while they begin.
-CONVERTED = """
-import os, signal, sys, time
-from clsim import __main__, cli
-def main():
+def ended(script: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run a script in a process that is interrupted as a terminal's are, to its end."""
+    return subprocess.run(
+        [sys.executable, "-c", script, *arguments], env=ENVIRONMENT, capture_output=True, text=True, timeout=60,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+
+
+# What a command does as it is interrupted. Some extension modules make an error of their own of what is raised while
+# they begin; an interrupt may come before the sockets of an event loop are there.
+MADE_OF_IT = {
+    "an error": """
     try:
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(1.0)
     except KeyboardInterrupt:
         raise ImportError("numpy must be defined") from None
-cli.main = main
-sys.argv = ["clsim", "check"]
-__main__.run()
-"""
-UNAWAITED = """
-import os, signal, sys, time
-from clsim import __main__, cli
-async def write():
-    pass
-def main():
-    made = write()
-    os.kill(os.getpid(), signal.SIGINT)
-    time.sleep(1.0)
-cli.main = main
-sys.argv = ["clsim", "check"]
-__main__.run()
-"""
-
-
-HALF_MADE = """
-import asyncio, os, signal, sys, time
-from clsim import __main__, cli
-def main():
+""",
+    "half an event loop": """
     loop = asyncio.SelectorEventLoop.__new__(asyncio.SelectorEventLoop)
-    asyncio.BaseEventLoop.__init__(loop)  # an interrupt comes before its sockets are there
+    asyncio.BaseEventLoop.__init__(loop)
     del loop
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(1.0)
-cli.main = main
+""",
+    "a coroutine": """
+    async def write():
+        pass
+    made = write()
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(1.0)
+""",
+}
+COMMAND = """
+import asyncio, os, signal, sys, time
+from clsim import __main__, cli
+def main():%scli.main = main
 sys.argv = ["clsim", "check"]
 __main__.run()
 """
 
 
 @pytest.mark.skipif(os.name != "posix", reason="this system has other signals")
-@pytest.mark.parametrize(
-    "script", [CONVERTED, HALF_MADE, UNAWAITED], ids=["an error", "half an event loop", "a coroutine"]
-)
-def test_what_other_packages_make_of_an_interrupt_is_not_reported(script: str) -> None:
+@pytest.mark.parametrize("what", MADE_OF_IT)
+def test_what_other_packages_make_of_an_interrupt_is_not_reported(what: str) -> None:
     """As of Zarr, which makes a coroutine for each file that it writes, and of Dask's event loops."""
-    begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-    command = [sys.executable, "-c", begin + script]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=ENVIRONMENT)
+    done = ended(COMMAND % MADE_OF_IT[what])
     assert done.returncode == 130
     assert [line.startswith(MESSAGE) for line in done.stderr.splitlines()] == [True]
 
@@ -223,11 +217,8 @@ __main__.run()
 def slow_zarr(folder: Path, out: Path, where: str, number: int, seconds: float) -> tuple[int, str]:
     """Run a command into a Zarr store that an interrupt hits while its number-th file is written."""
     script = SLOW_ZARR.replace("{where}", where).replace("{number}", str(number)).replace("{seconds}", str(seconds))
-    done = subprocess.run(
-        [sys.executable, "-c", script, "run", str(folder / "long.toml"), "-o", str(out), "--store", "zarr",
-         "--no-plots", "--duration", "4"], env=ENVIRONMENT, capture_output=True, text=True, timeout=60,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
+    line = ["run", str(folder / "long.toml"), "-o", str(out), "--store", "zarr", "--no-plots", "--duration", "4"]
+    done = ended(script, *line)
     return done.returncode, without_warnings(done.stderr)
 
 
@@ -254,12 +245,13 @@ def test_threads_that_do_not_end_are_not_reported(number: int, folder: Path, tmp
     assert err == (["clsim: interrupted; nothing half-written was left"] if number == 1 else [])
 
 
-SWALLOWED = """
-import os, signal, time
+HANDLED = """
+import os, signal, sys, time
 from clsim import process
 process.end_on_interrupt()
 process.raise_on_interrupt()
-try:
+"""
+SWALLOWED = """try:
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(9.0)
 except KeyboardInterrupt:
@@ -269,24 +261,8 @@ try:
 except KeyboardInterrupt:
     time.sleep(0.4)  # what cleans up is not interrupted
     print("interrupted again")
-"""
-
-
-@pytest.mark.skipif(os.name == "nt", reason="this system sends no signals")
-def test_an_interrupt_that_a_library_swallows_comes_again() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", SWALLOWED], env=ENVIRONMENT, capture_output=True, text=True, timeout=60,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
-    assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted again\n", "")
-
-
-PUT_BACK = """
-import os, signal, sys
-from clsim import process
-process.end_on_interrupt()
-process.raise_on_interrupt()
-process.ignore_interrupts()
+"""  # as by a library that catches everything: it comes again
+PUT_BACK = """process.ignore_interrupts()
 def interrupt():
     os.kill(os.getpid(), signal.SIGINT)
     return sum(range(1000))
@@ -296,16 +272,14 @@ interrupt()
 signal.signal(signal.SIGINT, signal.default_int_handler)
 interrupt()
 print("done")
-"""
+"""  # by a library, once a command is done: it is not interrupted any more
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="this system cannot block signals")
-def test_a_command_that_is_done_is_not_interrupted_by_a_handler_that_comes_back() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", PUT_BACK], env=ENVIRONMENT, capture_output=True, text=True, timeout=60,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
-    assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
+@pytest.mark.parametrize(("script", "told"), [(SWALLOWED, "interrupted again\n"), (PUT_BACK, "done\n")])
+def test_interrupts_and_handlers_that_libraries_take_are_as_asked(script: str, told: str) -> None:
+    done = ended(HANDLED + script)
+    assert (done.returncode, done.stdout, done.stderr) == (0, told, "")
 
 
 def test_a_folder_that_is_still_written_into_is_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import soundfile
 from exhaustive import few
-from made_results import SCENE, TONE, run, write_scene
+from made_results import run, write_scene
 
 from clsim.cli import main
 from clsim.files.atomic import remove_leftovers, temporary_path
@@ -119,12 +119,3 @@ def test_wrong_arguments_are_told_in_a_line(arguments: list[str], message: str, 
     write_scene(tmp_path / "s.toml")
     assert message in error_of(*arguments)
     assert [p.name for p in tmp_path.iterdir()] == ["s.toml"]
-
-
-def test_scene_files_may_begin_with_a_byte_order_mark(tmp_path: Path, capsys, error_of) -> None:
-    scene = write_scene(tmp_path / "s.toml")
-    scene.write_bytes(b"\xef\xbb\xbf" + scene.read_bytes())
-    assert main(["check", str(scene)]) == 0
-    scene.write_text('"" = 1\n' + (SCENE % (TONE, "right")), "utf-8")
-    capsys.readouterr()
-    assert error_of("check", scene) == f'{scene}: "": is no known key'

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import soundfile
@@ -80,82 +81,55 @@ def test_what_others_made_stays(name: str, tmp_path: Path, error_of, monkeypatch
     assert everything(tmp_path) == before
 
 
-def run_over_sound(folder: Path) -> list[str]:
-    return ["run", str(wav_input(folder, "right.wav")), "-o", str(folder)]
-
-
-def run_over_sound_by_another_name(folder: Path) -> list[str]:
+def over_sound_by_another_name(folder: Path) -> list[Any]:
     scene = wav_input(folder, "sounds/in.wav")
     (folder / "out").mkdir()
     os.link(folder / "sounds" / "in.wav", folder / "out" / "right.wav")
-    return ["run", str(scene), "-o", str(folder / "out")]
+    return ["run", scene, "-o", folder / "out"]
 
 
-def run_over_scene(folder: Path) -> list[str]:
-    return ["run", str(write_scene(folder / "scene.completed.toml")), "-o", str(folder)]
-
-
-def run_over_record(folder: Path) -> list[str]:
-    return ["run", str(write_scene(folder / "clsim.json")), "-o", str(folder)]
-
-
-def run_with_input_at_work(folder: Path) -> list[str]:
-    return ["run", str(wav_input(folder, "out/.partial/left.wav")), "-o", str(folder / "out")]
-
-
-def run_with_input_in_store(folder: Path) -> list[str]:
-    return ["run", str(wav_input(folder, "out/recording.zarr/in.wav")), "-o", str(folder / "out"), "--store", "zarr"]
-
-
-def rerun_completed(folder: Path) -> list[str]:
+def completed_again(folder: Path) -> list[Any]:
     assert run(write_scene(folder / "s.toml"), folder / "out") == 0
-    return ["run", str(folder / "out" / "scene.completed.toml"), "-o", str(folder / "out")]
+    return ["run", folder / "out" / "scene.completed.toml", "-o", folder / "out"]
 
 
-def rerun_on_own_sound(folder: Path) -> list[str]:
+def over_its_own_sound(folder: Path) -> list[Any]:
     assert run(write_scene(folder / "first.toml", name="other"), folder / "out") == 0
-    return ["run", str(write_scene(folder / "s.toml", WAV % "out/other.wav")), "-o", str(folder / "out")]
+    return ["run", write_scene(folder / "s.toml", WAV % "out/other.wav"), "-o", folder / "out"]
 
 
-def rir_over_sound(folder: Path) -> list[str]:
-    scene = wav_input(folder, "robot_left.wav")
-    return ["rir", str(scene), "-o", str(folder)]
-
-
-def view_over_scene(folder: Path) -> list[str]:
-    scene = write_scene(folder / "s.toml")
-    return ["view", str(scene), "-o", str(scene)]
-
-
-def view_beside_a_scene_called_html(folder: Path) -> list[str]:
-    return ["view", str(write_scene(folder / "s.html"))]
-
-
-def paths_over_sound(folder: Path) -> list[str]:
+def paths_over_sound(folder: Path) -> list[Any]:
     scene = wav_input(folder, "in.npz.wav")
     os.link(folder / "in.npz.wav", folder / "p.npz")
-    return ["paths", str(scene), "-o", str(folder / "p.npz")]
+    return ["paths", scene, "-o", folder / "p.npz"]
 
 
-def plot_over_table(folder: Path) -> list[str]:
+def plot_over_table(folder: Path) -> list[Any]:
     (folder / "beam.csv").write_text("angle,1000,2000\n0,0,0\n90,-6,-9\n180,-12,-20\n")
     os.link(folder / "beam.csv", folder / "beam.png")
-    return [
-        "plot", "directivity", "--table", str(folder / "beam.csv"), "--rear", "hold", "-o", str(folder / "beam.png"),
-    ]  # fmt: skip
+    return ["plot", "directivity", "--table", folder / "beam.csv", "--rear", "hold", "-o", folder / "beam.png"]
 
 
-INPUTS = [
-    run_over_sound, run_over_sound_by_another_name, run_over_scene, run_over_record, run_with_input_at_work,
-    run_with_input_in_store, rerun_completed, rerun_on_own_sound, rir_over_sound, view_over_scene,
-    view_beside_a_scene_called_html, paths_over_sound, plot_over_table,
-]  # fmt: skip
+# By name: what makes the inputs in a folder, and the command that would write over one of them.
+INPUTS: dict[str, Callable[[Path], list[Any]]] = {
+    "run over sound": lambda f: ["run", wav_input(f, "right.wav"), "-o", f],
+    "run over sound by another name": over_sound_by_another_name,
+    "run over scene": lambda f: ["run", write_scene(f / "scene.completed.toml"), "-o", f],
+    "run over record": lambda f: ["run", write_scene(f / "clsim.json"), "-o", f],
+    "run with input at work": lambda f: ["run", wav_input(f, "out/.partial/left.wav"), "-o", f / "out"],
+    "run with input in store": lambda f: ["run", wav_input(f, "out/recording.zarr/in.wav"), "-o", f / "out", "--store", "zarr"],
+    "run of the completed scene again": completed_again, "run over its own sound": over_its_own_sound,
+    "rir over sound": lambda f: ["rir", wav_input(f, "robot_left.wav"), "-o", f],
+    "view over scene": lambda f: ["view", write_scene(f / "s.toml"), "-o", f / "s.toml"],
+    "view beside a scene called html": lambda f: ["view", write_scene(f / "s.html")],
+    "paths over sound": paths_over_sound, "plot over table": plot_over_table,
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("attack", INPUTS, ids=lambda f: f.__name__)
-def test_no_input_is_written_over(attack: Callable[[Path], list[str]], tmp_path: Path, capsys, error_of) -> None:
+@pytest.mark.parametrize("name", INPUTS)
+def test_no_input_is_written_over(name: str, tmp_path: Path, capsys, error_of) -> None:
     """Not even with --force."""
-    arguments = attack(tmp_path)
+    arguments = INPUTS[name](tmp_path)
     before = everything(tmp_path)
     capsys.readouterr()
     assert error_of(*arguments, "--force").startswith("--output: must ")

@@ -157,14 +157,6 @@ def test_a_chirp_is_the_sum_over_its_spectrum(engine, v_s, v_r, measured):
     measured("air that disperses, rendered", "sum over the spectrum", error, -85.0)
 
 
-def test_pieces_of_any_length_are_the_same():
-    """Chunks as resumed runs and studies render them."""
-    paths = direct(CHIRP, along(0.0), along(10.0, 2.0))
-    whole = clsim.render(paths, RATE, duration=0.2).pressure
-    pieces = clsim.render_chunks(clsim.plan_render(paths, RATE, duration=0.2, chunk=18_432))
-    np.testing.assert_array_equal(np.concatenate([piece for _, piece in pieces], axis=1), whole)
-
-
 def test_envelopes_are_those_of_the_sum():
     """Engines in baseband, of a source that moves."""
     narrow = clsim.Signal.chirp(38e3, 42e3, 0.01, RATE, window="hann")

@@ -110,21 +110,3 @@ def test_path_table_of_a_moving_scene(rng) -> None:
         for wall in walls:
             back[:, wall // 2] *= -1.0
         np.testing.assert_allclose(table.departure[i], -back, atol=1e-12)
-
-
-def test_a_path_is_known_by_where_it_bounces() -> None:
-    """First-order paths bounce at the point of the wall where both angles are equal."""
-    a, b = np.array([1.0, 1.5, 1.0]), np.array([4.0, 3.0, 2.5])
-    scene = clsim.Scene(
-        clsim.Shoebox(SIZE, clsim.Material.from_reflection(0.5)), AIR,
-        [clsim.Source("s", clsim.Signal.tone(40e3, 0.1, 192e3), clsim.Trajectory.fixed(a))],
-        [clsim.Receiver("r", clsim.Trajectory.fixed(b))],
-    )  # fmt: skip
-    table = clsim.find_paths(scene, 1).table([0.0])
-    for i in range(1, 7):
-        axis, side = divmod(int(table.walls[i, 0]), 2)
-        wall = SIZE[axis] if side else 0.0
-        out, back = table.departure[i, 0], table.arrival[i, 0]
-        hit = a + out * (wall - a[axis]) / out[axis]
-        np.testing.assert_allclose(b + back * (wall - b[axis]) / back[axis], hit, atol=1e-12)
-        assert np.linalg.norm(hit - a) + np.linalg.norm(b - hit) == pytest.approx(343.0 * table.delay[i, 0], rel=1e-13)

@@ -221,11 +221,6 @@ def test_a_room_whose_walls_are_solids_is_a_room() -> None:
         scene(house, ((1, 1, 4), (3, 2, 4)))
 
 
-def test_open_meshes_have_no_outside() -> None:
-    vertices, triangles = box((8, 6, 3))
-    scene(clsim.MeshRoom(vertices, triangles[1:], WALL), ((1, 1, 1), (3, 2, 4)))
-
-
 def test_no_ray_through_an_edge_makes_an_inside(rng: np.random.Generator) -> None:
     """Places on round coordinates and on the lines of rays through edges are inside all the same."""
     vertices, triangles = box((8, 6, 3))

@@ -1,7 +1,5 @@
 """Tables by angle and frequency, against closed forms."""
 
-import time
-
 import numpy as np
 import pytest
 from scipy.special import j1
@@ -226,22 +224,6 @@ def test_shapes_broadcast():
     assert both[512] == pytest.approx(table.gain(np.cos(FINE[512]), 35e3, SPEED), rel=1e-12)
     assert np.isnan(table.gain(np.nan, 35e3, SPEED))
     assert isinstance(table, clsim.AxisymmetricDirectivity)
-
-
-def test_large_tables_are_fast(rng):
-    angles, frequencies = np.linspace(0.0, 180.0, 39), np.linspace(20e3, 85e3, 2600)
-    values = piston_ahead(np.radians(angles)[:, None], frequencies, 0.01, 0.03)
-    values = values + 1e-3 * rng.normal(size=values.shape)
-    begun = time.perf_counter()
-    table = AxialDirectivity(angles, frequencies, values)
-    assert time.perf_counter() - begun < 5.0  # 0.3 s on a busy machine
-    at = np.linspace(20e3, 85e3, 24)
-    spent = []
-    for _ in range(6):
-        begun = time.perf_counter()
-        table.gain(np.cos(FINE)[:, None], at, SPEED)
-        spent.append(time.perf_counter() - begun)
-    assert min(spent[1:]) < 0.05  # 0.002 s
 
 
 GOOD = {"angles_degrees": [0, 90, 180], "frequencies": [1e3, 2e3], "values": np.ones((3, 2))}

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -40,42 +39,16 @@ def test_first_order_patterns():
     np.testing.assert_array_equal(FirstOrder(0.0).gain(sides, 1e3, 343.0), [1, 0, -1])
 
 
-def test_piston_is_the_integral_over_its_face():
+@pytest.mark.parametrize("frequency", [10e3, 40e3, 80e3])
+@pytest.mark.parametrize("radius", [0.0047, 0.012])
+def test_piston_is_the_integral_over_its_face(radius, frequency):
     # Far field of a disc: the mean of exp(i k x sin(theta)) over it. With x = a sin(u) the midpoint rule
     # over u converges faster than any power, so 1e-12 is rounding.
-    frequency, c, radius = 40e3, 343.0, 0.01
     u = (np.arange(200) + 0.5) * np.pi / 200 - np.pi / 2
-    wavenumber = 2 * np.pi * frequency / c
-    for angle in np.radians([0.0, 1e-4, 1.0, 20.0, 45.0, 70.0, 90.0]):
-        phase = wavenumber * radius * np.sin(u) * np.sin(angle)
-        integral = np.sum(np.cos(phase) * np.cos(u) ** 2) / np.sum(np.cos(u) ** 2)
-        assert piston_gain(np.cos(angle), frequency, radius, c) == pytest.approx(integral, abs=1e-12)
-
-
-def bessel_beam(x: float) -> float:
-    """Return 2 J1(x) / x by its power series, which converges everywhere, in whole multiples of 2^-200.
-
-    Terms are below e^x: for x to 20 that leaves 200 bits, and cancellation takes none that count.
-    """
-    one = 1 << 200
-    square, term, total = int(Fraction(x) ** 2 * one) // 4, one, 0
-    for m in range(60):
-        total += term
-        term = -term * square // ((m + 1) * (m + 2) * one)
-    return total / one
-
-
-@pytest.mark.parametrize("frequency", [10e3, 25e3, 40e3, 60e3, 80e3])
-@pytest.mark.parametrize("radius", [0.0047, 0.012])
-def test_piston_is_within_a_tenth_of_a_decibel_of_the_series_at_all_angles(radius, frequency):
-    angles = np.radians(np.arange(0.0, 90.01, 1.0))
-    x = 2 * np.pi * frequency / 343.0 * radius * np.sin(angles)
-    expected = np.array([bessel_beam(float(v)) for v in x])
-    gain = Piston(radius).gain(np.cos(angles), frequency, 343.0)
-    loud = np.abs(expected) > 10 ** (-40 / 20)
-    assert loud.sum() > 60
-    np.testing.assert_array_less(np.abs(20 * np.log10(gain[loud] / expected[loud])), 1e-6)
-    np.testing.assert_allclose(gain, expected, atol=1e-12)
+    angles = np.radians([0.0, 1e-4, *range(1, 91)])
+    phase = 2 * np.pi * frequency / 343.0 * radius * np.sin(u) * np.sin(angles)[:, None]
+    integral = np.sum(np.cos(phase) * np.cos(u) ** 2, axis=1) / np.sum(np.cos(u) ** 2)
+    np.testing.assert_allclose(Piston(radius).gain(np.cos(angles), frequency, 343.0), integral, rtol=0, atol=1e-12)
 
 
 def test_piston_has_no_seam_near_the_axis():

@@ -1,6 +1,5 @@
 """The built-in materials, and those of measured impulse responses."""
 
-import json
 import math
 import re
 import warnings
@@ -9,13 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from scenes import DATA
 
 from clsim.cli import main
 from clsim.errors import ClsimWarning, InputError
 from clsim.scene.material.material import LIBRARY, MATERIAL_NAMES, Material
-
-EXACT = 1e-13  # a few roundings of float64
 
 
 def test_the_impulse_response_of_a_delay():
@@ -131,7 +127,6 @@ def test_sound_files(tmp_path: Path, rng):
 
 TABLES = [name for name, entry in LIBRARY.items() if entry.constructor == "absorption"]
 ESTIMATES = [name for name in LIBRARY if name.startswith("estimated-")]
-TABLE = DATA / "materials" / "pyroomacoustics_materials.json"
 OCTAVES = np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3])
 
 
@@ -262,18 +257,3 @@ def test_the_command_tells_errors_in_a_line(arguments, message, capsys):
     assert printed.out == ""
     assert printed.err.count("\n") == 1
     assert message in printed.err
-
-
-@pytest.mark.skipif(not TABLE.exists(), reason=f"no real data: {TABLE} is missing")
-def test_ninety_published_entries_of_somebody_else_are_materials():
-    content = json.loads(TABLE.read_text("utf-8"))
-    entries = [entry for group in content["absorption"].values() for entry in group.values()]
-    assert len(entries) == 90
-    for entry in entries:
-        alpha = np.array(entry["coeffs"])
-        f = np.array(entry.get("center_freqs", content["center_freqs"]))[: len(alpha)]
-        material = Material.from_absorption(f, alpha, entry["description"])
-        np.testing.assert_allclose(material.reflection_at(f) ** 2, 1.0 - alpha, atol=1e-14)
-        between = material.reflection_at(np.geomspace(f[0], f[-1], 300)) ** 2
-        assert between.min() >= (1.0 - alpha).min() - 1e-12
-        assert between.max() <= (1.0 - alpha).max() + 1e-12

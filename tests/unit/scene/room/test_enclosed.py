@@ -7,7 +7,6 @@ import pytest
 from made_meshes import box, cut_box, joined, screen
 
 import clsim
-from clsim.room_measures import _diffuse
 
 REPORT_WALL = clsim.Material.from_reflection(0.9)
 SOUND = ["room: 12 triangles, 6 walls in 6 planes, 8 x 6 x 3 m from (0, 0, 0) m", "room: watertight"]
@@ -147,29 +146,6 @@ def test_volume_whatever_the_winding(name: str, rng: np.random.Generator) -> Non
         assert room.volume == pytest.approx(volume, rel=1e-9), share
 
 
-def test_one_flipped_face_of_a_box() -> None:
-    vertices, triangles = box(SIZE)
-    for face in range(12):
-        one = np.array(triangles)
-        one[face] = one[face, ::-1]
-        assert clsim.MeshRoom(vertices, one, WALL).volume == pytest.approx(90.0, rel=1e-12)
-
-
-def test_sabine_and_eyring_of_a_box_with_a_flipped_wall() -> None:
-    """Sabine's 24 ln(10) V / (c A): no air absorbs."""
-    vertices, triangles = box(SIZE)
-    mixed = np.array(triangles)
-    mixed[[0, 1, 5]] = mixed[[0, 1, 5], ::-1]
-    air = clsim.Air(speed_of_sound=340.0, absorption=False)
-    ends = [clsim.Trajectory.fixed(p) for p in ((1, 1, 1), (4, 3, 2))]
-    source = clsim.Source("s", clsim.Signal.tone(1e3, 0.1, 16e3), ends[0])
-    scene = clsim.Scene(clsim.MeshRoom(vertices, mixed, WALL), air, [source], [clsim.Receiver("r", ends[1])])
-    sabine, eyring = _diffuse(scene, np.array([1e3]))
-    surface = 2 * (6 * 5 + 6 * 3 + 5 * 3)
-    assert sabine[0] == pytest.approx(24 * np.log(10) * 90 / (340 * 0.1 * surface), rel=1e-6)
-    assert eyring[0] == pytest.approx(24 * np.log(10) * 90 / (340 * -np.log(0.9) * surface), rel=1e-6)
-
-
 def test_an_l_room_with_a_pillar(rng: np.random.Generator) -> None:
     plan = clsim.MeshRoom.from_plan(L_ROOM, 2.5, WALL, pillars=[[(1, 1), (1.5, 1), (1.5, 1.5), (1, 1.5)]])
     for share in (0.0, 0.3, 0.7):
@@ -183,11 +159,6 @@ def test_shells_that_run_through_each_other_are_measured_by_rays(rng: np.random.
     vertices, triangles = joined(box(SIZE), (crate[0] + [2, 2, -1], crate[1]))
     room = clsim.MeshRoom(vertices, flipped(triangles, rng, 0.4), WALL)
     assert room.volume == pytest.approx(90.0 - 4.0, rel=3e-3)
-
-
-def test_open_meshes_have_no_volume() -> None:
-    vertices, triangles = box(SIZE)
-    assert clsim.MeshRoom(vertices, triangles[1:], WALL).volume is None
 
 
 HALL = (8.0, 6.0, 3.0)

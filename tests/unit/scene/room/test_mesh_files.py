@@ -92,13 +92,6 @@ def test_concave_polygons_keep_their_area_and_their_side(tmp_path, rng, shape, w
         assert mesh.notes == ("1 concave polygon was ear-clipped.",)
 
 
-def test_a_fan_would_fail_the_area_check(tmp_path):
-    shape = flat(np.roll(L_SHAPE, -1, axis=0))
-    fan = sum(np.linalg.norm(np.cross(shape[i] - shape[0], shape[i + 1] - shape[0])) / 2 for i in range(1, 5))
-    assert fan > 6.5
-    assert area(read_mesh(write(tmp_path, obj(shape)))) == pytest.approx(6, rel=1e-12)
-
-
 def test_convex_polygons_are_cut_without_a_note(tmp_path):
     mesh = read_mesh(write(tmp_path, obj(flat([(0, 0), (2, 0), (3, 1), (2, 2), (0, 2)]))))
     assert len(mesh.triangles) == 3

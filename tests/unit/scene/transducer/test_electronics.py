@@ -50,21 +50,6 @@ def test_stream_filter_is_a_convolution_however_it_is_cut(length: int, rng: np.r
     np.testing.assert_array_equal(np.concatenate(cut), whole)
 
 
-def test_all_stages_are_the_same_however_they_are_cut(rng: np.random.Generator) -> None:
-    samples = 0.1 * rng.normal(size=COUNT)
-    electronics = Electronics(
-        ambient_noise_db=20.0, self_noise_db=30.0, seed=5, low_cut=20e3, high_cut=70e3, order=4, gain_db=60.0,
-        adc_bits=12, adc_full_scale=1.0,
-    )  # fmt: skip
-    receiver = clsim.Receiver("r", PLACE, transducer=RESONANCE, electronics=electronics)
-    whole, pieces = ReceiverEnd(receiver, "r", RATE), ReceiverEnd(receiver, "r", RATE)
-    wanted = whole(0, samples)
-    starts = [0, 2 * SEGMENT, 3 * SEGMENT]
-    got = [pieces(a, samples[a:b]) for a, b in zip(starts, [*starts[1:], COUNT], strict=True)]
-    np.testing.assert_array_equal(np.concatenate(got), wanted)
-    assert pieces.clipped == whole.clipped > 0
-
-
 def test_another_one_goes_on_from_a_state(rng: np.random.Generator) -> None:
     samples = 0.1 * rng.normal(size=COUNT)
     electronics = Electronics(
