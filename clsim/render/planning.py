@@ -264,9 +264,7 @@ class Request:
                     notes += [why] if why else []
                     channels += [(i, offer)] if offer else []
                 else:
-                    if costly:
-                        split = split.within(options.interpolator.error_db)
-                    elif splits is not None:
+                    if splits is not None and not costly:
                         splits[i] = split
                     rest, bands = design_split(emission, split)
                     made.append(rest)

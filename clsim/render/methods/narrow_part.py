@@ -158,6 +158,7 @@ _LEAST_EVERY = 2  # samples of the sound in one of the envelope: up to there the
 _WINDOWS, _ENDS = 8, 4  # windows of a signal that are looked at for silence of the rest, and more at either end
 _EVALUATED_AT = (4, 3, 8)  # pairs, paths of each, and stretches of the run in which their motion is looked at
 _STRETCH = 0.02  # s
+_BETWEEN = 4  # samples of a stretch from one at which paths are solved to the next
 _BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
 
 
@@ -171,8 +172,10 @@ class NarrowOffer:
 
 def cheapest_split(emission: Emission, pairs: list[int], known: Split | None = None) -> tuple[Split | None, str]:
     """Return the cheapest split into narrow bands and a rest, or a `known` one, or None; and why there is none."""
-    if known is not None and can(emission, pairs, known) is None:
-        return known, ""
+    if known is not None and _pays(emission, pairs):
+        known = known.within(emission.options.interpolator.error_db)
+        if can(emission, pairs, known) is None:
+            return known, ""
     best = min(offers(emission, pairs), key=lambda offer: offer.cost, default=None)
     if best is None or (best.cost > emission.cost_of_whole() and not emission.options.narrowband):
         return None, ""
@@ -184,22 +187,10 @@ def cheapest_split(emission: Emission, pairs: list[int], known: Split | None = N
 
 def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     """Return splits of a source's signal into narrow bands and a rest, for some of its pairs: none if none can pay."""
-    signal, sound, options, tracks = emission.signal, emission.sound, emission.options, emission.tracks
-    usable = options.narrowband is not False and options.baseband is None and options.engine == "opencl"
-    if not (usable and isinstance(options.interpolator, Bandlimited) and pairs and len(sound.energy)):
+    signal, sound, tracks = emission.signal, emission.sound, emission.tracks
+    if not _pays(emission, pairs):
         return []
-    if tracks.of_scene is None:
-        return []
-    known, rate, error_db = measured_costs(), signal.sampling_rate, options.interpolator.error_db
-    samples = min(signal.duration, emission.until) * rate
-    path_samples = max(
-        _active_paths(tracks, pairs, emission.until) * samples / (known.gpu if on_gpu(options) else 1.0), 1.0
-    )
-    of_band = samples * known.upsampled * len(pairs) / path_samples
-    per_sample = known.split - (_STREAMS if emission.filters_more else 0.0)
-    of_all = (known.planned + samples * per_sample) / path_samples
-    if of_band + of_all > emission.cost_of_whole() and not options.narrowband:
-        return []
+    rate, error_db, (of_band, of_all) = signal.sampling_rate, emission.options.interpolator.error_db, _costs(emission, pairs)
     some, inner = _some(signal)
     some = some if len(some.energy) else sound  # a train's pauses
     steady = None if isinstance(signal.waveform, Chirp) else inner  # windows do not tell of others of a sweep
@@ -215,6 +206,27 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
         loud = max(_share(split.rest_of(some), some), _share(split.rest_of(sound, _PASSED_OVER), sound))
         found.append(NarrowOffer(split, costs[bands] + emission.cost_of_rest(loud)))
     return found
+
+
+def _pays(emission: Emission, pairs: list[int]) -> bool:
+    """Test whether narrow bands are allowed, and one of them may pay for some pairs of a source."""
+    options = emission.options
+    usable = options.narrowband is not False and options.baseband is None and options.engine == "opencl"
+    if not (usable and isinstance(options.interpolator, Bandlimited) and pairs and len(emission.sound.energy)):
+        return False
+    if emission.tracks.of_scene is None:
+        return False
+    return bool(options.narrowband) or sum(_costs(emission, pairs)) <= emission.cost_of_whole()
+
+
+def _costs(emission: Emission, pairs: list[int]) -> tuple[float, float]:
+    """Processor time of a path in a sample of the sound, ns: of upsampling a band for pairs, and of the split."""
+    known, options, signal = measured_costs(), emission.options, emission.signal
+    samples = min(signal.duration, emission.until) * signal.sampling_rate
+    path_samples = _active_paths(emission.tracks, pairs, emission.until) * samples
+    path_samples = max(path_samples / (known.gpu if on_gpu(options) else 1.0), 1.0)
+    per_sample = known.split - (_STREAMS if emission.filters_more else 0.0)
+    return samples * known.upsampled * len(pairs) / path_samples, (known.planned + samples * per_sample) / path_samples
 
 
 def _share(part: ShortTimeSpectra, whole: ShortTimeSpectra) -> float:
@@ -356,6 +368,13 @@ def _obstacle(
     return ""
 
 
+def _between(ends: Floats, times: Floats, delay: Floats, rate: Floats, gain: Floats) -> tuple[Floats, Floats]:
+    """Delays and gains (P, T) at times (T,) from those (P, n), and from rates of delays, at ends of even steps (n,)."""
+    from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+    return CubicHermiteSpline(ends, delay, rate, axis=1)(times), CubicSpline(ends, gain, axis=1)(times)
+
+
 def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[float, float, float]) -> float:
     """Estimate the level of a carrier tone outside the envelope's band, relative to it, from a sample of paths."""
     carrier, member = narrow.baseband.carrier, tracks.pairs[pair]
@@ -368,10 +387,12 @@ def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[floa
     window, worst = np.kaiser(count, _BETA), 0.0
     outside = np.abs(np.fft.fftfreq(count, 1.0 / rate)) > shift + skirt
     begins = rng.uniform(0.0, max(span[2] - _STRETCH, 0.0), _EVALUATED_AT[2])
-    stretches = begins[:, None] + np.arange(count) / rate
-    delays, _, (gains, *_) = tracks.evaluate(pair, stretches.ravel(), flat_basis(carrier), rows)
+    ends = np.arange(-(-count // _BETWEEN) + 1) * (_BETWEEN / rate)  # what jumps between them bends the curves through them
+    stretches, now = begins[:, None] + ends, np.arange(count) / rate
+    delays, rates, (gains, *_) = tracks.evaluate(pair, stretches.ravel(), flat_basis(carrier), rows)
     for k, begin in enumerate(begins.tolist()):
-        delay, gain = (a[:, k * count : (k + 1) * count] for a in (delays, gains[0]))
+        found = (a[:, k * len(ends) : (k + 1) * len(ends)] for a in (delays, rates, gains[0]))
+        delay, gain = _between(ends, now, *found)
         audible = (begin - delay[:, 0] >= span[0] - _STRETCH) & (begin + _STRETCH - delay[:, -1] <= span[1] + _STRETCH)
         if fades:  # briefer ones belong to paths of a few milliseconds
             audible &= (member.start[rows] <= begin) & (begin + _STRETCH <= member.end[rows])
