@@ -120,7 +120,7 @@ def outline_fields(
         each = max(_AT_A_TIME // (count * KNOWN_AT[-1][1]), 1)
         for here in (alike[first : first + each] for first in range(0, len(alike), each)):
             rows = some[here]
-            yield rows, *outline_field(own.part(here), wave, *(end[rows] for end in ends), count)
+            yield rows, *outline_field(own.part(here), wave, ends[0][rows], ends[1][rows], count)
 
 
 def outline_field(

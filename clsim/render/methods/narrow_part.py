@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -158,7 +158,8 @@ _LEAST_EVERY = 2  # samples of the sound in one of the envelope: up to there the
 _WINDOWS, _ENDS = 8, 4  # windows of a signal that are looked at for silence of the rest, and more at either end
 _EVALUATED_AT = (4, 3, 8)  # pairs, paths of each, and stretches of the run in which their motion is looked at
 _STRETCH = 0.02  # s
-_BETWEEN = 4  # samples of a stretch from one at which paths are solved to the next
+# Samples of a stretch from one at which paths are solved to the next: what jumps bends the curves through all.
+_BETWEEN = 4
 _BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
 
 
@@ -173,8 +174,8 @@ class NarrowOffer:
 def cheapest_split(emission: Emission, pairs: list[int], known: Split | None = None) -> tuple[Split | None, str]:
     """Return the cheapest split into narrow bands and a rest, or a `known` one, or None; and why there is none."""
     if known is not None and _pays(emission, pairs):
-        known = known.within(emission.options.interpolator.error_db)
-        if can(emission, pairs, known) is None:
+        known = _received(emission, pairs, known.within(emission.options.interpolator.error_db))
+        if known is not None and can(emission, pairs, known) is None:
             return known, ""
     best = min(offers(emission, pairs), key=lambda offer: offer.cost, default=None)
     if best is None or (best.cost > emission.cost_of_whole() and not emission.options.narrowband):
@@ -195,7 +196,7 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     some = some if len(some.energy) else sound  # a train's pauses
     steady = None if isinstance(signal.waveform, Chirp) else inner  # windows do not tell of others of a sweep
     spectra = [(each, width) for each, width in ((sound, _BINS), (inner, _SHARP_BINS)) if len(each.energy)]
-    motion = tracks.max_rate(emission.source), _width_of_fades(tracks, pairs, error_db)
+    motion = emission.max_rate, _width_of_fades(tracks, pairs, error_db)
     sets = dict.fromkeys(bands for each in spectra for bands in _band_sets(signal, *each, *motion))
     costs = {bands: of_all + sum(of_band + _envelope_cost(band, rate) for band, *_ in bands) for bands in sets}
     found: list[NarrowOffer] = []
@@ -206,6 +207,17 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
         loud = max(_share(split.rest_of(some), some), _share(split.rest_of(sound, _PASSED_OVER), sound))
         found.append(NarrowOffer(split, costs[bands] + emission.cost_of_rest(loud)))
     return found
+
+
+def _received(emission: Emission, pairs: list[int], split: Split) -> Split | None:
+    """Return a split with as much more on either side of its bands as some pairs' motion asks for; None for too much."""
+    fades, bands = _width_of_fades(emission.tracks, pairs, emission.options.interpolator.error_db), []
+    for band in split.bands:
+        baseband = _baseband(emission.signal, band.baseband.carrier, band.flat, band.half, emission.max_rate, fades)
+        if baseband is None:
+            return None
+        bands.append(replace(band, baseband=baseband))
+    return replace(split, bands=tuple(bands))
 
 
 def _pays(emission: Emission, pairs: list[int]) -> bool:
@@ -244,9 +256,8 @@ def can(emission: Emission, pairs: list[int], split: Split) -> str | None:
     """Return the reason against envelopes at a low rate for the pairs of a source; None if there is none."""
     assert emission.tracks.of_scene is not None, "offers are made for scenes"
     span = emission.start, emission.start + emission.signal.duration, emission.until
-    reasons = (
-        _obstacle(emission.source, emission.tracks.of_scene, pairs, band, split.silence, span) for band in split.bands
-    )
+    about = emission.source, emission.max_rate
+    reasons = (_obstacle(about, emission.tracks.of_scene, pairs, band, split.silence, span) for band in split.bands)
     return next(filter(None, reasons), None)
 
 
@@ -296,18 +307,27 @@ def _band(
     signal: Signal, low: float, high: float, spread: float, skirt: float, max_rate: float, fades: float
 ) -> tuple[Baseband, float, float] | None:
     """Return a band for what is emitted in a range, with the ends of what is passed as it is, and at all, or None."""
-    rate, carrier = signal.sampling_rate, float(round(0.5 * (low + high)))
+    carrier = float(round(0.5 * (low + high)))
     if abs(signal.centre_frequency - carrier) < spread:
         carrier = signal.centre_frequency
     flat = 0.5 * (high - low) + spread
     half = flat + skirt
+    baseband = _baseband(signal, carrier, flat, half, max_rate, fades)
+    return None if baseband is None else (baseband, flat, half)
+
+
+def _baseband(
+    signal: Signal, carrier: float, flat: float, half: float, max_rate: float, fades: float
+) -> Baseband | None:
+    """Return the envelope of what is emitted about a carrier; None where that is too wide."""
+    rate = signal.sampling_rate
     # All that is emitted is received within the width, and at the rate what transitions spread.
     width, emitted = (2.0 * (x * (1.0 + max_rate) + carrier * max_rate) for x in (half, flat))
     width = max(width, WIDEST * (emitted + 2.0 * fades))
     every = math.floor(rate / max(width / WIDEST, carrier / CYCLES))
     if every < _LEAST_EVERY or width > min(carrier, rate - 2.0 * carrier):
         return None
-    return Baseband(carrier, width, rate / every), flat, half
+    return Baseband(carrier, width, rate / every)
 
 
 def _some(signal: Signal) -> tuple[ShortTimeSpectra, ShortTimeSpectra]:
@@ -330,14 +350,15 @@ def _some(signal: Signal) -> tuple[ShortTimeSpectra, ShortTimeSpectra]:
 
 
 def _obstacle(
-    index: int, tracks: SceneTracks, mine: list[int], narrow: NarrowBand, silence: float,
+    about: tuple[int, float], tracks: SceneTracks, mine: list[int], narrow: NarrowBand, silence: float,
     span: tuple[float, float, float],
 ) -> str:  # fmt: skip
     """Return the reason against an envelope at a low rate; "" if there is none. Levels below `silence` are neglected.
 
-    The span is when the signal begins and ends and when the run ends, s.
+    About the source's index and a bound of the rate of its delays. The span is when the signal begins and ends and when
+    the run ends, s.
     """
-    scene = tracks.paths.scene
+    scene, (index, max_rate) = tracks.paths.scene, about
     if tracks.transition == 0.0 and not all(tracks.pairs[i].always_audible for i in mine):
         return "paths begin and end at once"
     receivers = sorted({tracks.pairs[i].receiver for i in mine})
@@ -352,33 +373,31 @@ def _obstacle(
     # Passing an end at a distance d with a speed v spreads a tone by its Doppler shift D and beyond, at an offset f, by
     # exp(-2 pi sqrt(f^2 - D^2) d / v): the phase k sqrt(d^2 + v^2 t^2) has branch points at +-j d / v.
     skirt, carrier = narrow.half - narrow.flat, narrow.baseband.carrier
-    shift = carrier * tracks.max_rate(index)
+    shift = carrier * max_rate
     needed = -math.log(silence) / (2.0 * math.pi * math.sqrt(skirt * (skirt + 2.0 * shift)))
     # In the shortest blocks cubics must hold 1 / sqrt(d^2 + v^2 t^2), whose fourth derivative is 9 (v / d)^4 over d.
     rate = narrow.baseband.sampling_rate or 0.0
-    shortest = blocks_of(rate, carrier, tracks.max_rate(index))[-1] / rate
+    shortest = blocks_of(rate, carrier, max_rate)[-1] / rate
     needed = max(needed, shortest * (9.0 * GAIN_ERROR[8] / silence) ** 0.25)
     for what, ends_of, most, radius in passes(tracks, index, receivers):
         if most > 0.0 and len(passing_times(ends_of, span[2], needed, most, radius)):
             return f"{what} is passed so near, at up to {most:.3g} m/s, that its sound is not narrow"
     # Shadows spread no more than the echoes of what casts them.
     spread = [i for i in mine if not tracks.pair_paths[i].family.adds]
-    if any(_spread(tracks, i, narrow, span) > silence for i in spread[:: -(-len(spread) // _EVALUATED_AT[0]) or 1]):
+    some = spread[:: -(-len(spread) // _EVALUATED_AT[0]) or 1]
+    if any(_spread(tracks, i, narrow, span, max_rate) > silence for i in some):
         return "ends move so quickly that the received band is not narrow"
     return ""
 
 
-def _between(ends: Floats, times: Floats, delay: Floats, rate: Floats, gain: Floats) -> tuple[Floats, Floats]:
-    """Delays and gains (P, T) at times (T,) from those (P, n), and from rates of delays, at ends of even steps (n,)."""
+def _spread(
+    tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[float, float, float], max_rate: float
+) -> float:
+    """Estimate the level of a carrier tone outside the envelope's band, relative to it, from a sample of paths."""
     from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-    return CubicHermiteSpline(ends, delay, rate, axis=1)(times), CubicSpline(ends, gain, axis=1)(times)
-
-
-def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[float, float, float]) -> float:
-    """Estimate the level of a carrier tone outside the envelope's band, relative to it, from a sample of paths."""
     carrier, member = narrow.baseband.carrier, tracks.pairs[pair]
-    max_rate, fades = tracks.max_rate(member.source), getattr(tracks.pair_paths[pair].family, "fades", None) is not None
+    fades = getattr(tracks.pair_paths[pair].family, "fades", None) is not None
     # What is farther off than the skirts is folded, and stays outside.
     shift, skirt = carrier * max_rate, narrow.half - narrow.flat
     rate = min(2.0 * (narrow.baseband.sampling_rate or 0.0), 8.0 * (shift + skirt))
@@ -387,12 +406,13 @@ def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[floa
     window, worst = np.kaiser(count, _BETA), 0.0
     outside = np.abs(np.fft.fftfreq(count, 1.0 / rate)) > shift + skirt
     begins = rng.uniform(0.0, max(span[2] - _STRETCH, 0.0), _EVALUATED_AT[2])
-    ends = np.arange(-(-count // _BETWEEN) + 1) * (_BETWEEN / rate)  # what jumps between them bends the curves through them
-    stretches, now = begins[:, None] + ends, np.arange(count) / rate
-    delays, rates, (gains, *_) = tracks.evaluate(pair, stretches.ravel(), flat_basis(carrier), rows)
+    ends: Floats = np.arange(float(-(-count // _BETWEEN) + 1)) * (_BETWEEN / rate)
+    now: Floats = np.arange(float(count)) / rate
+    delays, rates, (gains, *_) = tracks.evaluate(pair, (begins[:, None] + ends).ravel(), flat_basis(carrier), rows)
+    each: list[Any] = [x.reshape(len(rows), len(begins), -1) for x in (delays, rates, gains[0])]
+    delays, gains = CubicHermiteSpline(ends, each[0], each[1], axis=2)(now), CubicSpline(ends, each[2], axis=2)(now)
     for k, begin in enumerate(begins.tolist()):
-        found = (a[:, k * len(ends) : (k + 1) * len(ends)] for a in (delays, rates, gains[0]))
-        delay, gain = _between(ends, now, *found)
+        delay, gain = delays[:, k], gains[:, k]
         audible = (begin - delay[:, 0] >= span[0] - _STRETCH) & (begin + _STRETCH - delay[:, -1] <= span[1] + _STRETCH)
         if fades:  # briefer ones belong to paths of a few milliseconds
             audible &= (member.start[rows] <= begin) & (begin + _STRETCH <= member.end[rows])
