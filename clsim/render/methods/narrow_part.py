@@ -159,7 +159,7 @@ _WINDOWS, _ENDS = 8, 4  # windows of a signal that are looked at for silence of 
 _EVALUATED_AT = (4, 3, 8)  # pairs, paths of each, and stretches of the run in which their motion is looked at
 _STRETCH = 0.02  # s
 # Samples of a stretch from one at which paths are solved to the next: what jumps bends the curves through all.
-_BETWEEN = 4
+_BETWEEN = 8
 _BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
 
 
