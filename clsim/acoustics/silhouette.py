@@ -110,7 +110,7 @@ def silhouette_field(
 def outline_fields(
     outline: Outline, wave: Floats, ends: tuple[Floats, Floats], some: NDArray[np.int64]
 ) -> Iterator[tuple[NDArray[np.int64], Complexes, Floats]]:
-    """Yield rows of ends (n, 3), m, their fields (rows, F) by `outline_field` with points enough, and lines of sight."""
+    """Yield rows of ends (n, 3), m, their fields (rows, F) by `outline_field` of enough points, and lines of sight."""
     if not len(some):
         return
     highest, own = float(wave.max()), outline.part(some)

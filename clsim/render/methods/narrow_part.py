@@ -191,7 +191,8 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     signal, sound, tracks = emission.signal, emission.sound, emission.tracks
     if not _pays(emission, pairs):
         return []
-    rate, error_db, (of_band, of_all) = signal.sampling_rate, emission.options.interpolator.error_db, _costs(emission, pairs)
+    of_band, of_all = _costs(emission, pairs)
+    rate, error_db = signal.sampling_rate, emission.options.interpolator.error_db
     some, inner = _some(signal)
     some = some if len(some.energy) else sound  # a train's pauses
     steady = None if isinstance(signal.waveform, Chirp) else inner  # windows do not tell of others of a sweep
@@ -210,7 +211,7 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
 
 
 def _received(emission: Emission, pairs: list[int], split: Split) -> Split | None:
-    """Return a split with as much more on either side of its bands as some pairs' motion asks for; None for too much."""
+    """Return a split whose envelopes are as wide as the motion of some pairs asks for; None where that is too much."""
     fades, bands = _width_of_fades(emission.tracks, pairs, emission.options.interpolator.error_db), []
     for band in split.bands:
         baseband = _baseband(emission.signal, band.baseband.carrier, band.flat, band.half, emission.max_rate, fades)
