@@ -53,7 +53,7 @@ def check(options: argparse.Namespace) -> int:
     if left is not None:
         remedy = ' (tail = "auto" adds it)' if left > -20.0 else ""
         of_plan.append(f"images leave {left:.0f} dB of the energy: higher orders, and what walls scatter{remedy}")
-    shaded = [*shaded_pairs(scene, plan.duration), *_unshaded(planned.paths, file.paths["scattering_order"])]
+    shaded = [*shaded_pairs(scene, plan.duration), *_unshaded(planned.paths, file.paths.get("scattering_order", 0))]
     for line in [*shaded, *through_walls(scene.room, scene.named_scatterers()), *of_plan]:
         print(line)
     for field, item in [*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()]:

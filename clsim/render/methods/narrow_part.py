@@ -16,9 +16,10 @@ from clsim.arrays import Complexes, Floats
 from clsim.numerics.blas import with_blas_threads
 from clsim.render.baseband import CYCLES, WIDEST, Baseband, blocks_of
 from clsim.render.contributions import Stateless, digest_of
-from clsim.render.envelope import LEVEL_TIME, MARGIN_DB, NarrowBand, Split
+from clsim.render.envelope import LEVEL_TIME, NarrowBand, Split
 from clsim.render.interpolator import Bandlimited
 from clsim.render.methods.costs import measured_costs, on_gpu, passes, passing_times
+from clsim.render.methods.narrow_spread import BETA, spread
 from clsim.render.methods.per_sample import PathSum
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.block_polynomials import GAIN_ERROR
@@ -27,7 +28,6 @@ from clsim.render.source_filters import Emission
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra, shares
 from clsim.scene.signal.signal import Signal
 from clsim.scene.signal.waveforms import Chirp
-from clsim.tracks.basis import flat_basis
 from clsim.tracks.tracks import SceneTracks, Tracks
 
 _PASSED_OVER = 1e-6  # of a window's energy, above what Hann's window adds: some windows pass over parts of a sweep
@@ -156,11 +156,7 @@ _MOST_BANDS = 6
 _BINS, _SHARP_BINS = 10.0, 1.0  # added to bands: of short-time spectra what a tone spreads in them, of others the step
 _LEAST_EVERY = 2  # samples of the sound in one of the envelope: up to there the cost decides
 _WINDOWS, _ENDS = 8, 4  # windows of a signal that are looked at for silence of the rest, and more at either end
-_EVALUATED_AT = (4, 3, 8)  # pairs, paths of each, and stretches of the run in which their motion is looked at
-_STRETCH = 0.02  # s
-# Samples of a stretch from one at which paths are solved to the next: what jumps bends the curves through all.
-_BETWEEN = 8
-_BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
+_MOST_PAIRS = 4  # whose motion is looked at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,7 +169,7 @@ class NarrowOffer:
 
 def cheapest_split(emission: Emission, pairs: list[int], known: Split | None = None) -> tuple[Split | None, str]:
     """Return the cheapest split into narrow bands and a rest, or a `known` one, or None; and why there is none."""
-    if known is not None and _pays(emission, pairs):
+    if known is not None and _suits(emission, pairs):
         known = _received(emission, pairs, known.within(emission.options.interpolator.error_db))
         if known is not None and can(emission, pairs, known) is None:
             return known, ""
@@ -189,7 +185,7 @@ def cheapest_split(emission: Emission, pairs: list[int], known: Split | None = N
 def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     """Return splits of a source's signal into narrow bands and a rest, for some of its pairs: none if none can pay."""
     signal, sound, tracks = emission.signal, emission.sound, emission.tracks
-    if not _pays(emission, pairs):
+    if not _suits(emission, pairs):
         return []
     of_band, of_all = _costs(emission, pairs)
     rate, error_db = signal.sampling_rate, emission.options.interpolator.error_db
@@ -221,7 +217,7 @@ def _received(emission: Emission, pairs: list[int], split: Split) -> Split | Non
     return replace(split, bands=tuple(bands))
 
 
-def _pays(emission: Emission, pairs: list[int]) -> bool:
+def _suits(emission: Emission, pairs: list[int]) -> bool:
     """Test whether narrow bands are allowed, and one of them may pay for some pairs of a source."""
     options = emission.options
     usable = options.narrowband is not False and options.baseband is None and options.engine == "opencl"
@@ -337,7 +333,7 @@ def _some(signal: Signal) -> tuple[ShortTimeSpectra, ShortTimeSpectra]:
     Hann's window would show skirts of -90 dB beside a wide band, which it makes itself.
     """
     length = 2 ** round(math.log2(2.0 * LEVEL_TIME * signal.sampling_rate))
-    last, hop, window = -(-signal.count // (length // 2)), length // 2, np.kaiser(length, _BETA)
+    last, hop, window = -(-signal.count // (length // 2)), length // 2, np.kaiser(length, BETA)
     inner = np.random.default_rng(0).integers(_ENDS, max(last - _ENDS, _ENDS + 1), _WINDOWS)
     picked = np.unique(np.clip(np.r_[-1 : _ENDS - 1, inner, last - _ENDS : last], -1, last - 1)).tolist()
     spectra = [np.abs(np.fft.rfft(signal.read(k * hop, k * hop + length) * window)) ** 2 for k in picked]
@@ -384,40 +380,8 @@ def _obstacle(
         if most > 0.0 and len(passing_times(ends_of, span[2], needed, most, radius)):
             return f"{what} is passed so near, at up to {most:.3g} m/s, that its sound is not narrow"
     # Shadows spread no more than the echoes of what casts them.
-    spread = [i for i in mine if not tracks.pair_paths[i].family.adds]
-    some = spread[:: -(-len(spread) // _EVALUATED_AT[0]) or 1]
-    if any(_spread(tracks, i, narrow, span, max_rate) > silence for i in some):
+    varied = [i for i in mine if not tracks.pair_paths[i].family.adds]
+    some = varied[:: -(-len(varied) // _MOST_PAIRS) or 1]
+    if any(spread(tracks, i, narrow, span, max_rate) > silence for i in some):
         return "ends move so quickly that the received band is not narrow"
     return ""
-
-
-def _spread(
-    tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[float, float, float], max_rate: float
-) -> float:
-    """Estimate the level of a carrier tone outside the envelope's band, relative to it, from a sample of paths."""
-    from scipy.interpolate import CubicHermiteSpline, CubicSpline
-
-    carrier, member = narrow.baseband.carrier, tracks.pairs[pair]
-    fades = getattr(tracks.pair_paths[pair].family, "fades", None) is not None
-    # What is farther off than the skirts is folded, and stays outside.
-    shift, skirt = carrier * max_rate, narrow.half - narrow.flat
-    rate = min(2.0 * (narrow.baseband.sampling_rate or 0.0), 8.0 * (shift + skirt))
-    count, rng = math.ceil(_STRETCH * rate), np.random.default_rng(pair)
-    rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _EVALUATED_AT[1] - 1)))
-    window, worst = np.kaiser(count, _BETA), 0.0
-    outside = np.abs(np.fft.fftfreq(count, 1.0 / rate)) > shift + skirt
-    begins = rng.uniform(0.0, max(span[2] - _STRETCH, 0.0), _EVALUATED_AT[2])
-    ends: Floats = np.arange(float(-(-count // _BETWEEN) + 1)) * (_BETWEEN / rate)
-    now: Floats = np.arange(float(count)) / rate
-    delays, rates, (gains, *_) = tracks.evaluate(pair, (begins[:, None] + ends).ravel(), flat_basis(carrier), rows)
-    each: list[Any] = [x.reshape(len(rows), len(begins), -1) for x in (delays, rates, gains[0])]
-    delays, gains = CubicHermiteSpline(ends, each[0], each[1], axis=2)(now), CubicSpline(ends, each[2], axis=2)(now)
-    for k, begin in enumerate(begins.tolist()):
-        delay, gain = delays[:, k], gains[:, k]
-        audible = (begin - delay[:, 0] >= span[0] - _STRETCH) & (begin + _STRETCH - delay[:, -1] <= span[1] + _STRETCH)
-        if fades:  # briefer ones belong to paths of a few milliseconds
-            audible &= (member.start[rows] <= begin) & (begin + _STRETCH <= member.end[rows])
-        spectrum = np.fft.fft((gain * np.exp(-2j * math.pi * carrier * delay) * window)[audible], axis=1)
-        level = np.maximum(np.linalg.norm(spectrum, axis=1), 1e-300)
-        worst = max(worst, float((np.linalg.norm(spectrum[:, outside], axis=1) / level).max(initial=0.0)))
-    return worst * 10 ** (-MARGIN_DB / 20)

@@ -306,8 +306,7 @@ class ShadeColumns(_Posed):
         Points that are worked on side by side have their numbers beside each other.
         """
         wave, together = 2.0 * math.pi * float(waves.max()), self._of.together
-        most = most_points(outline, wave)
-        steps = steps_of_points(most)
+        steps = steps_of_points(most := most_points(outline, wave))
         tables = [outline.table(count).reshape(6, -1, together).swapaxes(0, 1).ravel() for _, count in steps]
         places = start + 5 + 3 * len(steps) + np.cumsum([0, *(table.size for table in tables)])
         rows = [(limit, count, place) for (limit, count), place in zip(steps, places[:-1], strict=True)]
