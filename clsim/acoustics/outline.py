@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +50,8 @@ class Outline(Protocol):
     """Protocol of bodies with an outline."""
 
     @property
-    def largest(self) -> float:
-        """Largest distance of the surface from the centre, m."""
+    def largest(self) -> Any:
+        """Largest distance of the surface from the centre, m, or those of each line of sight (n,)."""
         ...
 
     @property
@@ -62,6 +62,10 @@ class Outline(Protocol):
     @property
     def sharpness(self) -> float:
         """Points, of the fewest and of the most, because the outline has sharp ends."""
+        ...
+
+    def part(self, rows: NDArray[np.int64]) -> Outline:
+        """Return that of some lines of sight."""
         ...
 
     def turning(self, source: Floats, receiver: Floats) -> Floats:
@@ -117,6 +121,10 @@ class EllipsoidOutline:
         long = np.sqrt(0.5 * (first + second) + half)
         return np.asarray((half + beside * long) * _nearness(self.largest, reach, sight, (source, receiver)))
 
+    def part(self, rows: NDArray[np.int64]) -> EllipsoidOutline:
+        """Return the same for any lines of sight."""
+        return self
+
     def table(self, count: int) -> Floats:
         """Cosine and sine of the eccentric angle, and the share of a turn, of points (6, count)."""
         return _turns_of_ellipse(count)
@@ -170,17 +178,25 @@ class EllipsoidOutline:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CapsuleOutline:
-    """The outline of a cylinder about z with half spheres at its ends; radius and half of the cylinder's length, m."""
+    """The outline of a cylinder about z with half spheres at its ends; radius and half of the cylinder's length, m.
 
-    radius: float
-    half: float
+    Both may be those of each line of sight (n,): one call then serves many capsules.
+    """
+
+    radius: Floats | float
+    half: Floats | float
     fewest: ClassVar[float] = FEWEST_OF_CAPSULE
     sharpness: ClassVar[float] = 0.0
 
     @property
-    def largest(self) -> float:
+    def largest(self) -> Any:
         """Half of the whole length, m."""
         return self.radius + self.half
+
+    def part(self, rows: NDArray[np.int64]) -> CapsuleOutline:
+        """Return that of some lines of sight."""
+        each = (size[rows] if isinstance(size, np.ndarray) else size for size in (self.radius, self.half))
+        return CapsuleOutline(*each)
 
     def turning(self, source: Floats, receiver: Floats) -> Floats:
         """Rates (n,), m, of the sides or of the half circles, whichever are larger; a quarter of the table on each."""
@@ -227,16 +243,17 @@ class CapsuleOutline:
         u, v = (sign * cosine)[:, None], (sign * rise)[:, None]
         normal = u * one[:, None] + v * other[:, None]
         along = u * other[:, None] - v * one[:, None]
-        place = self.radius * normal
+        radius = np.reshape(self.radius, (-1, 1))
+        place = radius[..., None] * normal
         place[..., 2] += sign * at * half
         curved, straight = (
-            np.full(normal.shape[:2], 1.0 / self.radius**2),
+            np.broadcast_to(1.0 / radius**2, normal.shape[:2]),
             np.maximum(sine**2, (self.radius / self.largest) ** 2),
         )
         return _placed(
-            (normal, along, place), (sight, source, receiver), np.full(curved.shape, self.radius),
+            (normal, along, place), (sight, source, receiver), np.broadcast_to(radius, curved.shape),
             (curved, np.zeros_like(curved), np.where(on_side > 0.0, straight[:, None] * curved, curved)),
-            share * np.where(on_side > 0.0, 2.0 * half * sine[:, None], math.pi * self.radius),
+            share * np.where(on_side > 0.0, 2.0 * half * sine[:, None], math.pi * radius),
         )  # fmt: skip
 
     def _apart(self, sine: Floats) -> Floats:
@@ -307,14 +324,14 @@ def _nearness(largest: float, reach: Floats, sight: Floats, ends: tuple[Floats, 
     return np.asarray(1.0 / first + 1.0 / second)
 
 
-def most_points(outline: Outline, wave: float) -> float:
-    """Return the most points that an outline takes at a largest wave number, 1/m; our own choice."""
-    return float(MOST_POINTS[0] + outline.sharpness + MOST_POINTS[1] * (wave * outline.largest) ** (2.0 / 3.0))
+def most_points(outline: Outline, wave: float) -> Any:
+    """Return the most points that outlines take at a largest wave number, 1/m; our own choice."""
+    return MOST_POINTS[0] + outline.sharpness + MOST_POINTS[1] * (wave * outline.largest) ** (2.0 / 3.0)
 
 
-def steps_of_points(outline: Outline, wave: float) -> list[tuple[float, int]]:
+def steps_of_points(most: float) -> list[tuple[float, int]]:
     """Return numbers of points up to which as many or a few more are taken: quarter octaves; our own choice."""
-    last = max(math.ceil(4.0 * math.log2(most_points(outline, wave) / 8.0)), 0)
+    last = max(math.ceil(4.0 * math.log2(most / 8.0)), 0)
     return [(8.0 * 2.0 ** (0.25 * step), 8 * math.ceil(2.0 ** (0.25 * step))) for step in range(last + 1)]
 
 
@@ -326,8 +343,9 @@ def counts_of_points(outline: Outline, wave: float, source: Floats, receiver: Fl
     its largest rate. With `fewest` more, fields are within 5e-4 of the free one; grazing lines near small bodies 2e-3.
     """
     requested = outline.fewest + wave * outline.turning(source, receiver)
-    limits, counts = (np.array(column) for column in zip(*steps_of_points(outline, wave), strict=True))
-    step = np.searchsorted(limits, np.minimum(requested, most_points(outline, wave)))
+    most = most_points(outline, wave)
+    limits, counts = (np.array(column) for column in zip(*steps_of_points(float(np.max(most))), strict=True))
+    step = np.searchsorted(limits, np.minimum(requested, most))
     return np.asarray(counts[np.minimum(step, len(limits) - 1)])
 
 

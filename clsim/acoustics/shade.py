@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from clsim.acoustics.outline import Outline, counts_of_points
-from clsim.acoustics.silhouette import forward_share, outline_field
+from clsim.acoustics.outline import Outline
+from clsim.acoustics.silhouette import forward_share, outline_fields
 from clsim.arrays import Complexes, Floats
 
 LOUDEST_SHADE = 2.5  # behind a sphere on the axis 2.4 times the free field arrives
@@ -24,9 +24,6 @@ def shade(outline: Outline, wave: Floats, centre: float, source: Floats, receive
     """
     found = np.ones((len(source), len(wave)), dtype=np.complex128)
     share = forward_share(outline, centre, source, receiver)
-    rows = np.flatnonzero(share.any(axis=1))
-    counts = counts_of_points(outline, float(wave.max(initial=0.0)), source[rows], receiver[rows])
-    for count in np.unique(counts).tolist():
-        here = rows[counts == count]
-        found[here] += share[here] * outline_field(outline, wave, source[here], receiver[here], count)[0]
+    for rows, about, _ in outline_fields(outline, wave, (source, receiver), np.flatnonzero(share)):
+        found[rows] += share[rows] * about
     return found

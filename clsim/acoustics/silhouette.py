@@ -6,10 +6,12 @@ Time goes by ``exp(+j 2 pi f t)``. Geometry is that of the body's own frame, m, 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clsim.acoustics.fock import fock_hard, lit_reflection
 from clsim.acoustics.outline import LEAST, Outline, OutlinePoints, counts_of_points, faded
@@ -99,16 +101,26 @@ def silhouette_field(
     lit = flat[:, 7:8] * (1.0 - share) * lit_reflection(fock)
     found = lit * np.reshape(mirror, (-1, np.shape(mirror)[-1] if np.ndim(mirror) else 1))
     some = np.flatnonzero(share.any(axis=1) & left.any(axis=1))
-    counts = counts_of_points(outline, float(wave.max(initial=0.0)), flat[some, 0:3], flat[some, 3:6])
-    for count in np.unique(counts).tolist():
-        alike = some[counts == count]
-        each = max(_AT_A_TIME // (count * KNOWN_AT[-1][1]), 1)
-        for first in range(0, len(alike), each):
-            rows = alike[first : first + each]
-            about, sight = outline_field(outline, wave, flat[rows, 0:3], flat[rows, 3:6], count)
-            about *= np.exp(-1j * flat[rows, 10:11] * wave) * (flat[rows, 6:7] / sight)
-            found[rows] += share[rows] * left[rows] * about
+    for rows, about, sight in outline_fields(outline, wave, (flat[:, 0:3], flat[:, 3:6]), some):
+        about *= np.exp(-1j * flat[rows, 10:11] * wave) * (flat[rows, 6:7] / sight)
+        found[rows] += share[rows] * left[rows] * about
     return np.asarray(found.reshape(*aspects.shape[:-1], len(wave)))
+
+
+def outline_fields(
+    outline: Outline, wave: Floats, ends: tuple[Floats, Floats], some: NDArray[np.int64]
+) -> Iterator[tuple[NDArray[np.int64], Complexes, Floats]]:
+    """Yield rows of ends (n, 3), m, their fields (rows, F) by `outline_field` of enough points, and lines of sight."""
+    if not len(some):
+        return
+    highest, own = float(wave.max()), outline.part(some)
+    counts = counts_of_points(own, highest, *(end[some] for end in ends))
+    for count in np.unique(counts).tolist():
+        alike = np.flatnonzero(counts == count)
+        each = max(_AT_A_TIME // (count * KNOWN_AT[-1][1]), 1)
+        for here in (alike[first : first + each] for first in range(0, len(alike), each)):
+            rows = some[here]
+            yield rows, *outline_field(own.part(here), wave, ends[0][rows], ends[1][rows], count)
 
 
 def outline_field(

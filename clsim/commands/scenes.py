@@ -53,13 +53,22 @@ def check(options: argparse.Namespace) -> int:
     if left is not None:
         remedy = ' (tail = "auto" adds it)' if left > -20.0 else ""
         of_plan.append(f"images leave {left:.0f} dB of the energy: higher orders, and what walls scatter{remedy}")
-    for line in [*shaded_pairs(scene, plan.duration), *through_walls(scene.room, scene.named_scatterers()), *of_plan]:
+    shaded = [*shaded_pairs(scene, plan.duration), *_unshaded(planned.paths, file.paths.get("scattering_order", 0))]
+    for line in [*shaded, *through_walls(scene.room, scene.named_scatterers()), *of_plan]:
         print(line)
     for field, item in [*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()]:
         for note in [*_motion(item.trajectory), *item.trajectory.notes]:
             print(f"{field}.trajectory: {note}")
     print("the scene file is valid")
     return 0
+
+
+def _unshaded(paths: PathSet, order: int) -> list[str]:
+    """Return a line about echoes of so many walls that scatterers cast no shadow on them, if there are any."""
+    if not any(scatterer.shape.shadows for scatterer in paths.scene.scatterers):
+        return []
+    count = sum(int(np.count_nonzero(family.order > order)) for family in paths.families if family.is_specular)
+    return [f"no shadows: on {count} echoes of more than {order} walls (scattering_order)"] if count else []
 
 
 def _motion(trajectory: Trajectory) -> list[str]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats
+from clsim.arrays import Floats, read_only
 from clsim.numerics.quaternions import cross_product, rotate
 from clsim.paths.legs.mirrors import ROOM, Mirrors, dot
 from clsim.scene.body import Body
@@ -29,6 +29,8 @@ _KNOTS_AT_A_TIME = 20_000  # knots looked at at a time
 POSE_COLUMNS = 38  # time of the knot, knots per second until the next one, and cubics of a position and two axes
 _CORNERS = 4  # corners of a motion in a cell, about
 _CELLS_AT_A_TIME = 2048  # cells looked at at a time
+_CELLS = 16  # cells of which whole numbers are made: kinds of paths that ask for about the same have the same ones
+_KNOWN = 4  # scenes and chunks whose poses are kept
 FACE_COLUMNS = 16  # coefficients of a normal between two knots, [power][xyz], and of the offset, [power]
 
 
@@ -89,7 +91,8 @@ def _knot_error(source: Source, end: float, rate: float, tolerance: float) -> fl
     return largest
 
 
-def pose_rate(motions: Sequence[Motion], radii: Sequence[float], end: float, tolerance: float) -> float:
+@lru_cache(maxsize=_KNOWN)
+def pose_rate(motions: tuple[Motion, ...], radii: tuple[float, ...], end: float, tolerance: float) -> float:
     """Return cells per second such that what is at most a radius from the centre of each thing is in its place."""
     least = KNOT_RATES[0]
     for motion, radius in zip(motions, radii, strict=True):
@@ -99,15 +102,16 @@ def pose_rate(motions: Sequence[Motion], radii: Sequence[float], end: float, tol
     return least
 
 
+@lru_cache(maxsize=_KNOWN)
 def pose_knots(
-    motions: Sequence[Motion], start: float, end: float, rate: float
+    motions: tuple[Motion, ...], start: float, end: float, rate: float
 ) -> tuple[Floats, NDArray[np.int32], float]:
     """Return knots (n, 38) of things from `start` to `end`, s, which of them begin cells (things, cells + 1), and when.
 
     Knots are at the beginning of every cell and wherever the motion has a corner: time, s, knots per second until the
     next one, and coefficients [power][xyz] of position, m, and first two axes in units of the piece's length.
     """
-    first, last = math.floor(start * rate), math.ceil(end * rate)
+    first, last = (_CELLS * round_to(at * rate / _CELLS) for round_to, at in ((math.floor, start), (math.ceil, end)))
     grid = np.arange(first, max(last, first + 1) + 1) / rate
     rows, cells, known = [], np.empty((len(motions), len(grid)), dtype=np.int32), 0
     for i, motion in enumerate(motions):
@@ -115,7 +119,7 @@ def pose_knots(
         cells[i] = known + np.searchsorted(times, grid)
         rows.append(_pieces(motion, times))
         known += len(times) - 1
-    return np.concatenate(rows), cells, first / rate
+    return read_only(np.concatenate(rows)), read_only(cells), first / rate
 
 
 def _corners(motion: Motion, start: float, end: float) -> Floats:

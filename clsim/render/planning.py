@@ -264,22 +264,24 @@ class Request:
                     notes += [why] if why else []
                     channels += [(i, offer)] if offer else []
                 else:
-                    if costly:
-                        split = split.within(options.interpolator.error_db)
-                    elif splits is not None:
+                    if splits is not None and not costly:
                         splits[i] = split
                     rest, bands = design_split(emission, split)
                     made.append(rest)
                     narrow += [(i, filters) for filters in bands]
         carriers = dict.fromkeys((filters.carrier, filters.rate) for _, filters in narrow)
-        parts = tuple(self._narrow_part(carrier, narrow, claimed) for carrier in carriers)
+        parts = tuple(self._narrow_part(carrier, narrow, claimed, drawn_from.max_rate) for carrier in carriers)
         sampled = sampled_channel.parts_of(channels, tracks, tuple(made), options, self.samples) if channels else {}
         return tuple(made), replace(claimed, narrow=parts, notes=tuple(notes), **sampled)
 
     def _narrow_part(
-        self, carrier: tuple[float, float], narrow: list[tuple[int, NarrowFilters]], claimed: Allocation
-    ) -> NarrowPart:
-        """Return the narrow part of all sources with filters for a carrier and a sampling rate of envelopes, Hz."""
+        self, carrier: tuple[float, float], narrow: list[tuple[int, NarrowFilters]], claimed: Allocation,
+        max_rate: Callable[[int], float],
+    ) -> NarrowPart:  # fmt: skip
+        """Return the narrow part of all sources with filters for a carrier and a sampling rate of envelopes, Hz.
+
+        max_rate: bounds, by source, of the rates of its delays.
+        """
         tracks, rate = self.tracks, self.options.sampling_rate
         mine = {i: filters for i, filters in narrow if (filters.carrier, filters.rate) == carrier}
         # Others have no paths in it; what stands for their filters is not looked at.
@@ -289,7 +291,7 @@ class Request:
         upsampler = Upsampler.about(carrier[0], rate, first.mixer.every, 0.5 * band.bandwidth)
         within = replace(self.options, baseband=band, narrowband=None, chunk=None)
         others = claimed.claimed | {i for i, pair in enumerate(tracks.pairs) if pair.source not in mine}
-        blocks = blocks_of(carrier[1], carrier[0], max(tracks.max_rate(i) for i in mine))
+        blocks = blocks_of(carrier[1], carrier[0], max(max_rate(i) for i in mine))
         count, segment = math.ceil(self.samples / upsampler.every) + upsampler.reach, segment_of(blocks)
         chunk = chunk_of(within, count, carrier[1], segment, sum(map(len, tracks.channels)), tracks.longest_delay)
         alone, builders = Allocation(frozenset(others)), [PER_SAMPLE]

@@ -96,7 +96,7 @@ class Draw:
         vertices = [getattr(pair.family, "vertex", None) for pair in of_scene.pair_paths]
         approximate = all(getattr(vertex, "approximate", False) for vertex in vertices)
         if costly and _LEAST_WHOLE * total <= min(counts):
-            rows = tuple(picked_paths(of_scene, source, until, 2 * sum(counts), rng, whole=True))
+            rows = tuple(picked_paths(of_scene, source, until, sum(counts), rng, whole=True))
             return cls(of_scene, source, until, rows, (), grids, True, approximate)
         rows, held_out = (tuple(picked_paths(of_scene, source, until, count, rng, times=times)) for count in counts)
         return cls(of_scene, source, until, rows, held_out, grids, False, approximate)

@@ -254,20 +254,29 @@ def test_echoes_leave_the_filters_of_reflections() -> None:
     assert functions[1] <= 6
 
 
-def test_capsules_are_solved_together_as_one_by_one() -> None:
-    """One that turns and one that does not, of other sizes: delays and responses at 40 kHz are those of each alone."""
+@pytest.mark.filterwarnings("ignore:.*casts no shadow on them")
+@pytest.mark.parametrize("shadow", [False, True])
+def test_capsules_are_solved_together_as_one_by_one(shadow: bool) -> None:
+    """One that turns and one that does not, of other sizes: delays and responses at 40 kHz are those of each alone.
+
+    Their shades multiply.
+    """
     times = np.linspace(0.0, 0.4, 9)
     places = np.stack([2.5 + times, 2.0 + 0.0 * times, 1.0 + 0.1 * times], axis=1)
     turns = np.stack([np.sin(2.0 * times), 0.0 * times, 0.0 * times, np.cos(2.0 * times)], axis=1)
     sticks = [
-        clsim.Scatterer.capsule("one", 0.04, 0.3, clsim.Trajectory.waypoints(times, places, turns)),
-        clsim.Scatterer.capsule("other", 0.06, 0.2, clsim.Trajectory.waypoints(times, places + 0.5)),
-    ]
+        clsim.Scatterer.capsule("one", 0.04, 0.3, clsim.Trajectory.waypoints(times, places, turns), shadow=shadow),
+        clsim.Scatterer.capsule("other", 0.06, 0.2, clsim.Trajectory.waypoints(times, places + 0.5 - 0.4 * shadow), shadow=shadow),
+    ]  # fmt: skip
     together, *alone = (walking(some, 0.3).cir(times[1:7], carrier=40e3) for some in (sticks, *([s] for s in sticks)))
     for i, each in enumerate(alone):
-        echo = len(together.delay) - 2 + i
-        np.testing.assert_allclose(together.delay[echo], each.delay[-1], rtol=0.0, atol=1e-15)
-        np.testing.assert_allclose(together.gain[echo], each.gain[-1], rtol=1e-8)
+        echo, own = len(together.delay) - 2 - shadow + i, len(each.delay) - 1 - shadow
+        np.testing.assert_allclose(together.delay[echo], each.delay[own], rtol=0.0, atol=1e-15)
+        np.testing.assert_allclose(together.gain[echo], each.gain[own], rtol=1e-8)
+    if shadow:
+        passed, *left = (1.0 + found.gain[-1] / found.gain[0] for found in (together, *alone))
+        np.testing.assert_allclose(passed, left[0] * left[1], rtol=1e-8)
+        assert min(np.abs(1.0 - one).max() for one in left) > 0.1
 
 
 def test_echoes_are_envelopes_where_other_paths_are(device: str) -> None:

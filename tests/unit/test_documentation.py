@@ -35,6 +35,7 @@ SOURCE = re.compile(r"\[\w+\]_|\b(?:1[89]|20)\d\d\b|ISO \d+|IEC \d+|AES\d+")
 OWN = {
     "advanced": "a delay of transforms",
     "most_points": "a bound of cost",
+    "outline_fields": "`outline_field`, some lines of sight at a time",
     "steps_of_points": "rounding",
     "blas_threads": "no formula",
     "with_blas_threads": "likewise",

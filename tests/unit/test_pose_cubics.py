@@ -21,8 +21,8 @@ def looked_up(knots: np.ndarray, cells: np.ndarray, first: float, rate: float, t
 
 
 def largest_error(motions: list[Motion], radius: float, start: float, end: float) -> float:
-    rate = pose_rate(motions, [radius] * len(motions), end, TOLERANCE)
-    knots, cells, first = pose_knots(motions, start, end, rate)
+    rate = pose_rate(tuple(motions), (radius,) * len(motions), end, TOLERANCE)
+    knots, cells, first = pose_knots(tuple(motions), start, end, rate)
     times, wrong = np.random.default_rng(4).uniform(start, end, 20_000), 0.0
     for motion, mine in zip(motions, cells, strict=True):
         got, turned = looked_up(knots, mine, first, rate, times), motion.orientation(times)

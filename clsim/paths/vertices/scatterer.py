@@ -231,17 +231,20 @@ class ScattererVertex:
         waves: numbers (F,) and the central one, 1/m. shades: whether these include shadows of outlines; those on paths
         that walls reflect are paths of their own.
         """
-        for mine in self.groups():
-            scatterer = self.part(mine).one
-            aspects = more["aspects"][mine, :, : scatterer.shape.aspects]
+        for mine in self.groups() if shades else self.alike():
+            some = self.part(mine)
+            shape: Any = some.together.shape
+            aspects = more["aspects"][mine, :, : shape.aspects]
             past: Any = 0.0
-            if shades and scatterer.shape.outlined:
+            if shades and shape.outlined:
                 past = self._past(mine, more["event_time"][mine], aspects, waves)
-            field = scatterer.shape.field(*waves, aspects, past)
+            field = shape.field(*waves, aspects, past)
             if field is not None:
                 response[mine] *= field
-            if scatterer.fluctuation is not None:
-                response[mine] *= scatterer.fluctuation.at(more["event_time"][mine])[..., None]
+        for mine in self.groups():
+            fluctuation = self.part(mine).one.fluctuation
+            if fluctuation is not None:
+                response[mine] *= fluctuation.at(more["event_time"][mine])[..., None]
         return response
 
     def _past(self, mine: NDArray[np.int64], times: Floats, aspects: Floats, waves: tuple[Floats, float]) -> Any:

@@ -10,9 +10,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.acoustics.capsule import capsule_aspects, capsule_specular_point
+from clsim.acoustics.capsule import capsule_aspects, capsule_field, capsule_specular_point
+from clsim.acoustics.outline import CapsuleOutline
 from clsim.acoustics.scattering import SpecularPoint
-from clsim.arrays import Floats
+from clsim.arrays import Complexes, Floats
 from clsim.errors import InputError
 from clsim.numerics.quaternions import cross_product, rotate
 from clsim.paths.legs.events import Events, find_events
@@ -119,6 +120,12 @@ class Capsules:
         """Return strengths and aspects likewise."""
         assert specular is not None
         return capsule_aspects(*self._sizes(source), source, receiver, specular, self.outlined)
+
+    def field(self, wave: Floats, centre: float, aspects: Floats, past: float) -> Complexes:
+        """Return fields (P, T, F) over strengths, without those about outlines: `past` is 0."""
+        sizes = (np.repeat(size, aspects.shape[1]) for size in (self._size * [[1.0], [0.5]]))
+        outline: Any = CapsuleOutline(*sizes) if self.outlined else None
+        return capsule_field(wave, aspects, outline, past, centre)
 
     def _sizes(self, ends: Floats) -> tuple[Floats, Floats]:
         radius, length = np.repeat(self._size, ends.shape[1] // self._size.shape[1], axis=1)

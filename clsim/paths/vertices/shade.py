@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from clsim.acoustics.outline import CapsuleOutline
 from clsim.acoustics.shade import LOUDEST_SHADE, shade
 from clsim.acoustics.silhouette import WITHIN
 from clsim.arrays import Floats, firsts, read_only
@@ -23,7 +24,7 @@ from clsim.paths.family import NONE, SHADOW, Integers, Links, Rows
 from clsim.paths.legs.legs import StaticLeg, static_arrivals
 from clsim.paths.response import Arrivals, Kinematics, SceneResponse
 from clsim.paths.vertices.scatterer import centre_of
-from clsim.scene.scatterer import Scatterer
+from clsim.scene.scatterer import CapsuleShape, Scatterer
 from clsim.scene.scene import Scene
 
 _RIGHT = 1e-9  # cosine of an angle that counts as a right one
@@ -106,8 +107,7 @@ class ShadeVertex:
             times_of, factor = (sent[mine].ravel(), received[mine].ravel()), passed[mine].reshape(-1, len(wave))
             for part in range(*self.first[self.path[mine[0]] :][:2]):
                 seen = [x[mine].reshape(-1, 3) @ self.matrix[part].T + self.offset[part] for x in (begin, end)]
-                for scatterer in self.casting:
-                    _shade(scatterer, (wave, centre), (seen[0], seen[1]), times_of, factor)
+                _shade(self.casting, (wave, centre), (seen[0], seen[1]), times_of, factor)
             passed[mine] = factor.reshape(len(mine), -1, len(wave))
         return passing * (found.mach_factor / found.length)[..., None] * (passed - 1.0)
 
@@ -120,10 +120,34 @@ class ShadeVertex:
 
 
 def _shade(
-    scatterer: Scatterer, waves: tuple[Floats, float], ends: tuple[Floats, Floats], times: tuple[Floats, Floats],
+    casting: list[Scatterer], waves: tuple[Floats, float], ends: tuple[Floats, Floats], times: tuple[Floats, Floats],
     passed: Any,
 ) -> None:  # fmt: skip
-    """Multiply pressures (n, F) of sound between ends (n, 3), m, at times (n,), s, by the shade of one body.
+    """Multiply pressures (n, F) of sound between ends (n, 3), m, at times (n,), s, by the shades of bodies.
+
+    Shades of capsules are found together.
+    """
+    near = [_near(scatterer, waves[1], ends, times) for scatterer in casting]
+    capsules = [i for i, scatterer in enumerate(casting) if isinstance(scatterer.shape, CapsuleShape)]
+    for some in (capsules, *([i] for i in range(len(casting)) if i not in capsules)):
+        counts = np.array([len(near[i][0]) for i in some], dtype=np.int64)
+        if not counts.sum():
+            continue
+        outlines: list[Any] = [casting[i].shape for i in some]
+        outline = outlines[0].outline
+        if len(some) > 1:
+            sizes = np.array([[shape.cylinder_radius, 0.5 * shape.length] for shape in outlines])
+            outline = CapsuleOutline(*sizes.repeat(counts, axis=0).T)
+        begin, end = (np.concatenate([near[i][which] for i in some]) for which in (1, 2))
+        factors = np.split(shade(outline, *waves, begin, end), np.cumsum(counts)[:-1])
+        for i, factor in zip(some, factors, strict=True):
+            passed[near[i][0]] *= factor
+
+
+def _near(
+    scatterer: Scatterer, centre: float, ends: tuple[Floats, Floats], times: tuple[Floats, Floats]
+) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Rows of sound that passes near one body, and both ends (rows, 3) as that sees them, m.
 
     Sound goes straight, and evenly: it is at a share of its way at that share of its time.
     """
@@ -134,16 +158,13 @@ def _shade(
         now = times[0] + share * (times[1] - times[0])
         away = scatterer.trajectory.position(now) - begin
         share = np.clip(np.sum(away * along, axis=1) / size, 0.0, 1.0)
-    zone = 2.0 * WITHIN * np.sqrt(0.5 * math.pi * np.sqrt(size) / waves[1])  # the widest, in the middle
+    zone = 2.0 * WITHIN * np.sqrt(0.5 * math.pi * np.sqrt(size) / centre)  # the widest, in the middle
     near = np.flatnonzero(np.linalg.norm(away - share[:, None] * along, axis=1) < shape.radius + zone)
-    if not len(near):
-        return
-    now, seen = now[near], [-away[near], (along - away)[near]]
-    if scatterer.trajectory.has_orientation:
-        back = inverse(scatterer.trajectory.orientation(now))
+    seen = [-away[near], (along - away)[near]]
+    if scatterer.trajectory.has_orientation and len(near):
+        back = inverse(scatterer.trajectory.orientation(now[near]))
         seen = [rotate(back, x) for x in seen]
-    casting: Any = shape
-    passed[near] *= shade(casting.outline, *waves, *seen)
+    return near, seen[0], seen[1]
 
 
 def shaded_paths(scene: Scene, paths: Chain, order: int) -> Chain:

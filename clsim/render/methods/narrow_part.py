@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar
 
@@ -16,9 +16,10 @@ from clsim.arrays import Complexes, Floats
 from clsim.numerics.blas import with_blas_threads
 from clsim.render.baseband import CYCLES, WIDEST, Baseband, blocks_of
 from clsim.render.contributions import Stateless, digest_of
-from clsim.render.envelope import LEVEL_TIME, MARGIN_DB, NarrowBand, Split
+from clsim.render.envelope import LEVEL_TIME, NarrowBand, Split
 from clsim.render.interpolator import Bandlimited
 from clsim.render.methods.costs import measured_costs, on_gpu, passes, passing_times
+from clsim.render.methods.narrow_spread import BETA, spread
 from clsim.render.methods.per_sample import PathSum
 from clsim.render.opencl.baseband_engine import BasebandEngine
 from clsim.render.opencl.block_polynomials import GAIN_ERROR
@@ -27,7 +28,6 @@ from clsim.render.source_filters import Emission
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra, shares
 from clsim.scene.signal.signal import Signal
 from clsim.scene.signal.waveforms import Chirp
-from clsim.tracks.basis import flat_basis
 from clsim.tracks.tracks import SceneTracks, Tracks
 
 _PASSED_OVER = 1e-6  # of a window's energy, above what Hann's window adds: some windows pass over parts of a sweep
@@ -156,9 +156,7 @@ _MOST_BANDS = 6
 _BINS, _SHARP_BINS = 10.0, 1.0  # added to bands: of short-time spectra what a tone spreads in them, of others the step
 _LEAST_EVERY = 2  # samples of the sound in one of the envelope: up to there the cost decides
 _WINDOWS, _ENDS = 8, 4  # windows of a signal that are looked at for silence of the rest, and more at either end
-_EVALUATED_AT = (4, 3, 8)  # pairs, paths of each, and stretches of the run in which their motion is looked at
-_STRETCH = 0.02  # s
-_BETA = 12.5  # of the Kaiser window that shows -110 dB beside a line
+_MOST_PAIRS = 4  # whose motion is looked at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,8 +169,10 @@ class NarrowOffer:
 
 def cheapest_split(emission: Emission, pairs: list[int], known: Split | None = None) -> tuple[Split | None, str]:
     """Return the cheapest split into narrow bands and a rest, or a `known` one, or None; and why there is none."""
-    if known is not None and can(emission, pairs, known) is None:
-        return known, ""
+    if known is not None and _suits(emission, pairs):
+        known = _received(emission, pairs, known.within(emission.options.interpolator.error_db))
+        if known is not None and can(emission, pairs, known) is None:
+            return known, ""
     best = min(offers(emission, pairs), key=lambda offer: offer.cost, default=None)
     if best is None or (best.cost > emission.cost_of_whole() and not emission.options.narrowband):
         return None, ""
@@ -184,27 +184,16 @@ def cheapest_split(emission: Emission, pairs: list[int], known: Split | None = N
 
 def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     """Return splits of a source's signal into narrow bands and a rest, for some of its pairs: none if none can pay."""
-    signal, sound, options, tracks = emission.signal, emission.sound, emission.options, emission.tracks
-    usable = options.narrowband is not False and options.baseband is None and options.engine == "opencl"
-    if not (usable and isinstance(options.interpolator, Bandlimited) and pairs and len(sound.energy)):
+    signal, sound, tracks = emission.signal, emission.sound, emission.tracks
+    if not _suits(emission, pairs):
         return []
-    if tracks.of_scene is None:
-        return []
-    known, rate, error_db = measured_costs(), signal.sampling_rate, options.interpolator.error_db
-    samples = min(signal.duration, emission.until) * rate
-    path_samples = max(
-        _active_paths(tracks, pairs, emission.until) * samples / (known.gpu if on_gpu(options) else 1.0), 1.0
-    )
-    of_band = samples * known.upsampled * len(pairs) / path_samples
-    per_sample = known.split - (_STREAMS if emission.filters_more else 0.0)
-    of_all = (known.planned + samples * per_sample) / path_samples
-    if of_band + of_all > emission.cost_of_whole() and not options.narrowband:
-        return []
+    of_band, of_all = _costs(emission, pairs)
+    rate, error_db = signal.sampling_rate, emission.options.interpolator.error_db
     some, inner = _some(signal)
     some = some if len(some.energy) else sound  # a train's pauses
     steady = None if isinstance(signal.waveform, Chirp) else inner  # windows do not tell of others of a sweep
     spectra = [(each, width) for each, width in ((sound, _BINS), (inner, _SHARP_BINS)) if len(each.energy)]
-    motion = tracks.max_rate(emission.source), _width_of_fades(tracks, pairs, error_db)
+    motion = emission.max_rate, _width_of_fades(tracks, pairs, error_db)
     sets = dict.fromkeys(bands for each in spectra for bands in _band_sets(signal, *each, *motion))
     costs = {bands: of_all + sum(of_band + _envelope_cost(band, rate) for band, *_ in bands) for bands in sets}
     found: list[NarrowOffer] = []
@@ -215,6 +204,38 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
         loud = max(_share(split.rest_of(some), some), _share(split.rest_of(sound, _PASSED_OVER), sound))
         found.append(NarrowOffer(split, costs[bands] + emission.cost_of_rest(loud)))
     return found
+
+
+def _received(emission: Emission, pairs: list[int], split: Split) -> Split | None:
+    """Return a split whose envelopes are as wide as the motion of some pairs asks for; None where that is too much."""
+    fades, bands = _width_of_fades(emission.tracks, pairs, emission.options.interpolator.error_db), []
+    for band in split.bands:
+        baseband = _baseband(emission.signal, band.baseband.carrier, band.flat, band.half, emission.max_rate, fades)
+        if baseband is None:
+            return None
+        bands.append(replace(band, baseband=baseband))
+    return replace(split, bands=tuple(bands))
+
+
+def _suits(emission: Emission, pairs: list[int]) -> bool:
+    """Test whether narrow bands are allowed, and one of them may pay for some pairs of a source."""
+    options = emission.options
+    usable = options.narrowband is not False and options.baseband is None and options.engine == "opencl"
+    if not (usable and isinstance(options.interpolator, Bandlimited) and pairs and len(emission.sound.energy)):
+        return False
+    if emission.tracks.of_scene is None:
+        return False
+    return bool(options.narrowband) or sum(_costs(emission, pairs)) <= emission.cost_of_whole()
+
+
+def _costs(emission: Emission, pairs: list[int]) -> tuple[float, float]:
+    """Processor time of a path in a sample of the sound, ns: of upsampling a band for pairs, and of the split."""
+    known, options, signal = measured_costs(), emission.options, emission.signal
+    samples = min(signal.duration, emission.until) * signal.sampling_rate
+    path_samples = _active_paths(emission.tracks, pairs, emission.until) * samples
+    path_samples = max(path_samples / (known.gpu if on_gpu(options) else 1.0), 1.0)
+    per_sample = known.split - (_STREAMS if emission.filters_more else 0.0)
+    return samples * known.upsampled * len(pairs) / path_samples, (known.planned + samples * per_sample) / path_samples
 
 
 def _share(part: ShortTimeSpectra, whole: ShortTimeSpectra) -> float:
@@ -232,9 +253,8 @@ def can(emission: Emission, pairs: list[int], split: Split) -> str | None:
     """Return the reason against envelopes at a low rate for the pairs of a source; None if there is none."""
     assert emission.tracks.of_scene is not None, "offers are made for scenes"
     span = emission.start, emission.start + emission.signal.duration, emission.until
-    reasons = (
-        _obstacle(emission.source, emission.tracks.of_scene, pairs, band, split.silence, span) for band in split.bands
-    )
+    about = emission.source, emission.max_rate
+    reasons = (_obstacle(about, emission.tracks.of_scene, pairs, band, split.silence, span) for band in split.bands)
     return next(filter(None, reasons), None)
 
 
@@ -284,18 +304,27 @@ def _band(
     signal: Signal, low: float, high: float, spread: float, skirt: float, max_rate: float, fades: float
 ) -> tuple[Baseband, float, float] | None:
     """Return a band for what is emitted in a range, with the ends of what is passed as it is, and at all, or None."""
-    rate, carrier = signal.sampling_rate, float(round(0.5 * (low + high)))
+    carrier = float(round(0.5 * (low + high)))
     if abs(signal.centre_frequency - carrier) < spread:
         carrier = signal.centre_frequency
     flat = 0.5 * (high - low) + spread
     half = flat + skirt
+    baseband = _baseband(signal, carrier, flat, half, max_rate, fades)
+    return None if baseband is None else (baseband, flat, half)
+
+
+def _baseband(
+    signal: Signal, carrier: float, flat: float, half: float, max_rate: float, fades: float
+) -> Baseband | None:
+    """Return the envelope of what is emitted about a carrier; None where that is too wide."""
+    rate = signal.sampling_rate
     # All that is emitted is received within the width, and at the rate what transitions spread.
     width, emitted = (2.0 * (x * (1.0 + max_rate) + carrier * max_rate) for x in (half, flat))
     width = max(width, WIDEST * (emitted + 2.0 * fades))
     every = math.floor(rate / max(width / WIDEST, carrier / CYCLES))
     if every < _LEAST_EVERY or width > min(carrier, rate - 2.0 * carrier):
         return None
-    return Baseband(carrier, width, rate / every), flat, half
+    return Baseband(carrier, width, rate / every)
 
 
 def _some(signal: Signal) -> tuple[ShortTimeSpectra, ShortTimeSpectra]:
@@ -304,7 +333,7 @@ def _some(signal: Signal) -> tuple[ShortTimeSpectra, ShortTimeSpectra]:
     Hann's window would show skirts of -90 dB beside a wide band, which it makes itself.
     """
     length = 2 ** round(math.log2(2.0 * LEVEL_TIME * signal.sampling_rate))
-    last, hop, window = -(-signal.count // (length // 2)), length // 2, np.kaiser(length, _BETA)
+    last, hop, window = -(-signal.count // (length // 2)), length // 2, np.kaiser(length, BETA)
     inner = np.random.default_rng(0).integers(_ENDS, max(last - _ENDS, _ENDS + 1), _WINDOWS)
     picked = np.unique(np.clip(np.r_[-1 : _ENDS - 1, inner, last - _ENDS : last], -1, last - 1)).tolist()
     spectra = [np.abs(np.fft.rfft(signal.read(k * hop, k * hop + length) * window)) ** 2 for k in picked]
@@ -318,14 +347,15 @@ def _some(signal: Signal) -> tuple[ShortTimeSpectra, ShortTimeSpectra]:
 
 
 def _obstacle(
-    index: int, tracks: SceneTracks, mine: list[int], narrow: NarrowBand, silence: float,
+    about: tuple[int, float], tracks: SceneTracks, mine: list[int], narrow: NarrowBand, silence: float,
     span: tuple[float, float, float],
 ) -> str:  # fmt: skip
     """Return the reason against an envelope at a low rate; "" if there is none. Levels below `silence` are neglected.
 
-    The span is when the signal begins and ends and when the run ends, s.
+    About the source's index and a bound of the rate of its delays. The span is when the signal begins and ends and when
+    the run ends, s.
     """
-    scene = tracks.paths.scene
+    scene, (index, max_rate) = tracks.paths.scene, about
     if tracks.transition == 0.0 and not all(tracks.pairs[i].always_audible for i in mine):
         return "paths begin and end at once"
     receivers = sorted({tracks.pairs[i].receiver for i in mine})
@@ -340,42 +370,18 @@ def _obstacle(
     # Passing an end at a distance d with a speed v spreads a tone by its Doppler shift D and beyond, at an offset f, by
     # exp(-2 pi sqrt(f^2 - D^2) d / v): the phase k sqrt(d^2 + v^2 t^2) has branch points at +-j d / v.
     skirt, carrier = narrow.half - narrow.flat, narrow.baseband.carrier
-    shift = carrier * tracks.max_rate(index)
+    shift = carrier * max_rate
     needed = -math.log(silence) / (2.0 * math.pi * math.sqrt(skirt * (skirt + 2.0 * shift)))
     # In the shortest blocks cubics must hold 1 / sqrt(d^2 + v^2 t^2), whose fourth derivative is 9 (v / d)^4 over d.
     rate = narrow.baseband.sampling_rate or 0.0
-    shortest = blocks_of(rate, carrier, tracks.max_rate(index))[-1] / rate
+    shortest = blocks_of(rate, carrier, max_rate)[-1] / rate
     needed = max(needed, shortest * (9.0 * GAIN_ERROR[8] / silence) ** 0.25)
     for what, ends_of, most, radius in passes(tracks, index, receivers):
         if most > 0.0 and len(passing_times(ends_of, span[2], needed, most, radius)):
             return f"{what} is passed so near, at up to {most:.3g} m/s, that its sound is not narrow"
     # Shadows spread no more than the echoes of what casts them.
-    spread = [i for i in mine if not tracks.pair_paths[i].family.adds]
-    if any(_spread(tracks, i, narrow, span) > silence for i in spread[:: -(-len(spread) // _EVALUATED_AT[0]) or 1]):
+    varied = [i for i in mine if not tracks.pair_paths[i].family.adds]
+    some = varied[:: -(-len(varied) // _MOST_PAIRS) or 1]
+    if any(spread(tracks, i, narrow, span, max_rate) > silence for i in some):
         return "ends move so quickly that the received band is not narrow"
     return ""
-
-
-def _spread(tracks: SceneTracks, pair: int, narrow: NarrowBand, span: tuple[float, float, float]) -> float:
-    """Estimate the level of a carrier tone outside the envelope's band, relative to it, from a sample of paths."""
-    carrier, member = narrow.baseband.carrier, tracks.pairs[pair]
-    max_rate, fades = tracks.max_rate(member.source), getattr(tracks.pair_paths[pair].family, "fades", None) is not None
-    # What is farther off than the skirts is folded, and stays outside.
-    shift, skirt = carrier * max_rate, narrow.half - narrow.flat
-    rate = min(2.0 * (narrow.baseband.sampling_rate or 0.0), 8.0 * (shift + skirt))
-    count, rng = math.ceil(_STRETCH * rate), np.random.default_rng(pair)
-    rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _EVALUATED_AT[1] - 1)))
-    window, worst = np.kaiser(count, _BETA), 0.0
-    outside = np.abs(np.fft.fftfreq(count, 1.0 / rate)) > shift + skirt
-    begins = rng.uniform(0.0, max(span[2] - _STRETCH, 0.0), _EVALUATED_AT[2])
-    stretches = begins[:, None] + np.arange(count) / rate
-    delays, _, (gains, *_) = tracks.evaluate(pair, stretches.ravel(), flat_basis(carrier), rows)
-    for k, begin in enumerate(begins.tolist()):
-        delay, gain = (a[:, k * count : (k + 1) * count] for a in (delays, gains[0]))
-        audible = (begin - delay[:, 0] >= span[0] - _STRETCH) & (begin + _STRETCH - delay[:, -1] <= span[1] + _STRETCH)
-        if fades:  # briefer ones belong to paths of a few milliseconds
-            audible &= (member.start[rows] <= begin) & (begin + _STRETCH <= member.end[rows])
-        spectrum = np.fft.fft((gain * np.exp(-2j * math.pi * carrier * delay) * window)[audible], axis=1)
-        level = np.maximum(np.linalg.norm(spectrum, axis=1), 1e-300)
-        worst = max(worst, float((np.linalg.norm(spectrum[:, outside], axis=1) / level).max(initial=0.0)))
-    return worst * 10 ** (-MARGIN_DB / 20)

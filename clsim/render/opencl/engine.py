@@ -28,6 +28,7 @@ Maker = NodeMaker | HostNodeMaker
 
 _TOGETHER = 8  # functions of frequency that are summed at a time
 _CHANNELS = 16  # of a receiver that are summed at a time
+_PASSING = 0.008  # s, of the longest blocks for fields about outlines, which pass within some 50 ms
 _TURN = 4  # segments at a time in which they do
 
 
@@ -326,6 +327,13 @@ class OpenclEngine:
         on_device = family.device in known and has_directivity(scene.receivers[member.receiver].directivity, gains)
         return family if on_device else None
 
+    def _first_level(self, pair: int) -> int:
+        """Return the level of blocks to try first for the paths of a pair: shorter ones where shadows pass."""
+        vertex, rate = getattr(self.kind(pair), "vertex", None), self._plan.sampling_rate
+        if not getattr(vertex, "outlined", False):
+            return 0
+        return next((i for i, block in enumerate(self._plan.blocks) if block <= _PASSING * rate), 0)
+
     def maker(self, pair: int) -> Maker:
         """Return the maker of the nodes of a pair: the device, where it has a program for such paths."""
         plan, of_scene, kind = self._plan, self._plan.tracks.of_scene, self.kind(pair)
@@ -355,7 +363,8 @@ class OpenclEngine:
             for first, last, here in self.branch_signals.chosen(active, start, length):
                 parts = [part for pair in here for part in pair.parts(self.limits.paths_in_launch)]
                 for batch in in_batches(plan, parts, self.kind, self.limits.node_budget, plan.shortest_block):
-                    self.run(self, Task(source, batch, branches, on_device, length, start, first, last)).render()
+                    task = Task(source, batch, branches, on_device, length, start, first, last)
+                    self.run(self, task).render(self._first_level(batch.pairs[0]))
         for residuals in self.residuals:
             residuals.settle((start + length) // plan.segment)
         if on_device is None:

@@ -197,8 +197,8 @@ class _Posed(StaticColumns):
     def __init__(self, of: Rendered) -> None:
         super().__init__(of)
         scatterers = of.tracks.paths.scene.scatterers
-        self._motions = [scatterer.trajectory for scatterer in scatterers]
-        radii = [scatterer.shape.radius for scatterer in scatterers]
+        self._motions = tuple(scatterer.trajectory for scatterer in scatterers)
+        radii = tuple(scatterer.shape.radius for scatterer in scatterers)
         # Either leg changes by as much as a scatterer moves.
         tolerance = 0.25 * of.tolerance(of.tracks.paths.scene.air.speed_of_sound)
         self._pose_rate = pose_rate(self._motions, radii, of.plan.duration, tolerance)
@@ -306,7 +306,7 @@ class ShadeColumns(_Posed):
         Points that are worked on side by side have their numbers beside each other.
         """
         wave, together = 2.0 * math.pi * float(waves.max()), self._of.together
-        steps, most = steps_of_points(outline, wave), most_points(outline, wave)
+        steps = steps_of_points(most := most_points(outline, wave))
         tables = [outline.table(count).reshape(6, -1, together).swapaxes(0, 1).ravel() for _, count in steps]
         places = start + 5 + 3 * len(steps) + np.cumsum([0, *(table.size for table in tables)])
         rows = [(limit, count, place) for (limit, count), place in zip(steps, places[:-1], strict=True)]

@@ -185,10 +185,11 @@ trajectory = { kind = "line", start = [2, 0.5, 1], end = [2, 1.5, 1], duration =
         "duration = 0.05", "duration = 1.0"
     )
     for text, there in ((scene + ball, True), (scene + ball.replace("true", "false"), False)):
-        (tmp_path / "scene.toml").write_text(text, "utf-8")
+        (tmp_path / "scene.toml").write_text(text.replace("max_order = 0", "max_order = 1"), "utf-8")
         assert main(["check", str(tmp_path / "scene.toml")]) == 0
-        lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("shadows: ")]
-        assert len(lines) == there
+        lines = capsys.readouterr().out.splitlines()
+        assert sum(line.startswith("shadows: ") for line in lines) == there
+        assert ("no shadows: on 6 echoes of more than 0 walls (scattering_order)" in lines) == there
     (tmp_path / "scene.toml").write_text(scene + ball, "utf-8")
     assert main(["check", str(tmp_path / "scene.toml")]) == 0
     line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("shadows: "))
