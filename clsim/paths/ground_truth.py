@@ -395,7 +395,7 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
     shape = len(scene.bodies), len(scene.sources), len(scene.receivers), len(times)
     delay, rate, away, bearing = np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3))
     walls = (*(body.mesh.walls for body in scene.bodies), scene.room.as_mesh().walls)
-    obstacles = Obstacles(Mirrors.of(scene), walls, scene.room.is_convex)
+    obstacles = Obstacles(Mirrors.of(scene.room, scene.bodies), walls, scene.room.is_convex)
     visible, direct = np.zeros(shape, dtype=bool), np.empty((1, 0), dtype=np.int64)
     for which, body in enumerate(scene.bodies):
         thing = Scatterer(body.name, _Surface(1.0, body.mesh.vertices[body.mesh.triangles]), body.trajectory)
