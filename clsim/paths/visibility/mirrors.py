@@ -110,9 +110,9 @@ class MirrorEvaluation:
         order = walls.shape[1]
 
         def changes(leg: int, rows: Rows) -> LegDrift:
-            p, at = some[rows], change.place[:, leg : leg + 2]
-            held = pace.held[p] & np.array([leg == 0, leg == order])
-            return LegDrift(*at[p].T, change.dilation[p, leg : leg + 2].max(axis=1), held, pace.part(p))
+            p = some[rows]
+            held, late = pace.held[p] & np.array([leg == 0, leg == order]), change.dilation[p, leg : leg + 2]
+            return LegDrift(change.place[p, leg], change.place[p, leg + 1], late.max(axis=1), held, pace.part(p))
 
         when, every = line.now[some, None] + line.time[some], np.full(len(some), order)
         free, sure = self.obstacles.free(line.place[some], when, walls, every, changes)

@@ -101,14 +101,10 @@ class Obstacles:
             sure[some] = np.where(blocked, certain, np.minimum(sure[some], certain))
         return free, sure
 
-    def blocked(self, legs: Legs, first: NDArray[Any], last: NDArray[Any]) -> Bools:
-        """Mask (n,) of legs between mirrors, -1 for none, that a wall or a body blocks."""
-        return self.evaluated(legs, first, last, None)[0]
-
     def evaluated(
         self, legs: Legs, first: NDArray[Any], last: NDArray[Any], drift: LegDrift | None
     ) -> tuple[Bools, Floats]:
-        """Mask of blocked legs, as `blocked`, and the time for which that is certain, (n,) s."""
+        """Mask of legs between mirrors, -1 for none, that something blocks, and the time for which that is certain, s."""
         found, sure = np.zeros(len(legs.left), dtype=bool), np.full(len(legs.left), FAR)
         if not self.convex:
             room = self.walls[ROOM]
