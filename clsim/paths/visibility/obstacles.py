@@ -104,7 +104,7 @@ class Obstacles:
     def evaluated(
         self, legs: Legs, first: NDArray[Any], last: NDArray[Any], drift: LegDrift | None
     ) -> tuple[Bools, Floats]:
-        """Mask of legs between mirrors, -1 for none, that something blocks, and the time for which that is certain, s."""
+        """Mask of legs between mirrors, -1 for none, that something blocks, and for how long that is certain, s."""
         found, sure = np.zeros(len(legs.left), dtype=bool), np.full(len(legs.left), FAR)
         if not self.convex:
             room = self.walls[ROOM]
