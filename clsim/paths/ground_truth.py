@@ -395,7 +395,7 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
     shape = len(scene.bodies), len(scene.sources), len(scene.receivers), len(times)
     delay, rate, away, bearing = np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3))
     walls = (*(body.mesh.walls for body in scene.bodies), scene.room.as_mesh().walls)
-    obstacles = Obstacles(Mirrors.of(scene), walls, scene.room.is_convex)
+    obstacles = Obstacles(Mirrors.of(scene.room, scene.bodies), walls, scene.room.is_convex)
     visible, direct = np.zeros(shape, dtype=bool), np.empty((1, 0), dtype=np.int64)
     for which, body in enumerate(scene.bodies):
         thing = Scatterer(body.name, _Surface(1.0, body.mesh.vertices[body.mesh.triangles]), body.trajectory)
@@ -411,7 +411,8 @@ def body_truth(scene: Scene, times: Floats, motion: str = "retarded") -> BodyTru
                 rate[here] -= (first.rate * second.rate)[0]
             away[here], bearing[here] = second.distance * second.carried, second.arrival
             legs = [_leg(events, at) for events, at in ((first, found.time), (second, times))]
-            visible[here] = ~np.any([obstacles.blocked(leg, *2 * [np.full(len(times), -1)]) for leg in legs], axis=0)
+            none = np.full(len(times), -1)
+            visible[here] = ~np.any([obstacles.evaluated(leg, none, none, None)[0] for leg in legs], axis=0)
     return BodyTruth(
         **echo_fields(scene, times, delay, rate, away, bearing),
         visible=read_only(visible), body_names=tuple(body.name for body in scene.bodies),

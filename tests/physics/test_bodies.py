@@ -71,12 +71,18 @@ def test_delays_are_those_of_images_of_events(speed: float) -> None:
         faces, ends = np.array([walls]) + 6, (source, receiver)
 
         def found(time: float, faces: Any = faces, ends: Any = ends) -> float:
-            return float(find_events(Mirrors.of(scene), faces, ends, UniformAir(C), np.array([time])).delay[0, 0])
+            return float(
+                find_events(Mirrors.of(scene.room, scene.bodies), faces, ends, UniformAir(C), np.array([time])).delay[
+                    0, 0
+                ]
+            )
 
         time = brentq(lambda t, found=found: t - found(t) - 0.3, 0.3, 0.4, xtol=1e-15)
         assert 1e3 * (time - 0.3) == pytest.approx(milliseconds, abs=6e-7)
         slope = (found(time + 1e-5) - found(time - 1e-5)) / 2e-5
-        rate = find_events(Mirrors.of(scene), faces, ends, UniformAir(C), np.array([time])).rate[0, 0]
+        rate = find_events(Mirrors.of(scene.room, scene.bodies), faces, ends, UniformAir(C), np.array([time])).rate[
+            0, 0
+        ]
         assert rate == pytest.approx(slope, abs=1e-9)
 
 
@@ -97,7 +103,7 @@ def test_doppler_shifts_are_those_of_a_moving_mirror() -> None:
     angle, mach = np.radians(35.0), 20.0 / C
     scene = scene_of(FIXED(BIG - 20.0), FIXED(BIG + 20.0), [sheet("wall", (1, 0, 0), 0.0, moving)])
     ends = FIXED(at(-5.0, 0.0, 0.0)), FIXED(at(-5.0, 7.0, 0.0))
-    found = find_events(Mirrors.of(scene), np.array([[6]]), ends, UniformAir(C), np.array([0.1]))
+    found = find_events(Mirrors.of(scene.room, scene.bodies), np.array([[6]]), ends, UniformAir(C), np.array([0.1]))
     incidence = found.departure[0, 0] @ [1.0, 0.0, 0.0]
     expected = (1.0 + 2.0 * mach * incidence + mach**2) / (1.0 - mach**2)
     assert 1.0 - found.rate[0, 0] == pytest.approx(expected, rel=1e-12)
@@ -109,7 +115,9 @@ def test_doppler_factors_have_ten_digits() -> None:
     for speed, shift in ((1.0, 233.918), (5.0, 1183.432), (20.0, 4953.560)):
         scene = scene_of(FIXED(BIG - 20.0), FIXED(BIG + 20.0), [sheet("wall", (1, 0, 0), 0.0, approaching(6.0, speed))])
         place = FIXED(BIG)
-        found = find_events(Mirrors.of(scene), np.array([[6]]), (place, place), UniformAir(C), np.array([0.05]))
+        found = find_events(
+            Mirrors.of(scene.room, scene.bodies), np.array([[6]]), (place, place), UniformAir(C), np.array([0.05])
+        )
         assert 1.0 - found.rate[0, 0] == pytest.approx((1.0 + speed / C) / (1.0 - speed / C), rel=1e-12)
         assert -40e3 * found.rate[0, 0] == pytest.approx(shift, abs=5.1e-4)
     angle, mach, told = np.radians(35.0), 20.0 / C, 1.1026769187596
@@ -119,7 +127,7 @@ def test_doppler_factors_have_ten_digits() -> None:
     ear = FIXED(BIG + hit + 4.0 * np.array([-np.cos(aslant), np.sin(aslant), 0.0]))
     scene = scene_of(FIXED(BIG - 20.0), FIXED(BIG + 20.0), [sheet("wall", (1, 0, 0), 0.0, approaching(6.0, 20.0))])
     heard = np.array([met + 4.0 / C])
-    found = find_events(Mirrors.of(scene), np.array([[6]]), (FIXED(BIG), ear), UniformAir(C), heard)
+    found = find_events(Mirrors.of(scene.room, scene.bodies), np.array([[6]]), (FIXED(BIG), ear), UniformAir(C), heard)
     assert found.delay[0, 0] == pytest.approx(heard[0], abs=1e-13)
     assert 1.0 - found.rate[0, 0] == pytest.approx(
         (1.0 + 2.0 * mach * np.cos(angle) + mach**2) / (1.0 - mach**2), rel=1e-12
@@ -208,7 +216,7 @@ def test_ten_drawn_ways_are_the_earliest(rng: np.random.Generator) -> None:
         while len(walls) < order:
             walls.append(int((walls[-1] + rng.integers(1, 3)) % 3))
         ends, faces = (FIXED(source), receiver), np.array([walls]) + 6
-        flat = Mirrors.of(scene)
+        flat = Mirrors.of(scene.room, scene.bodies)
 
         def found(time: float, flat: Mirrors = flat, faces: Any = faces, ends: Any = ends) -> Events:
             return find_events(flat, faces, ends, UniformAir(C), np.array([time]))

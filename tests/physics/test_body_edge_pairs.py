@@ -73,7 +73,7 @@ def test_drawn_ways_over_two_edges_are_the_earliest() -> None:
         met = (np.array([[len(scene.room.faces) + 6 if m else -1]], np.int32) for m in mirrored)
         chains = EdgePairs(*met, pairs[one, 0], np.array([-1]), pairs[one, 1], faces[one])
         times = 0.12 + 1e-5 * np.array([-1.0, 0.0, 1.0])
-        found = EdgePairSolver(Mirrors.of(scene), lines, ends, UniformAir(C)).find(chains, times)
+        found = EdgePairSolver(Mirrors.of(scene.room, scene.bodies), lines, ends, UniformAir(C)).find(chains, times)
         if not np.all((found.along > 0.0) & (found.along < 3.0)):
             continue
         delay = (found.first.delay + found.last.delay)[0]

@@ -79,7 +79,7 @@ def test_drawn_ways_over_an_edge_are_the_earliest(rng: np.random.Generator) -> N
         mirrored = [draw % 4 in (1, 3), draw % 4 >= 2]
         edge = int(rng.integers(4))
         chains = Chains(*(np.array([[7 if m else -1]], np.int32) for m in mirrored), np.array([edge]), np.array([-1]))
-        solver = EdgeSolver(Mirrors.of(scene), lines, ends, UniformAir(C))
+        solver = EdgeSolver(Mirrors.of(scene.room, scene.bodies), lines, ends, UniformAir(C))
         times = 0.12 + 1e-5 * np.array([-1.0, 0.0, 1.0])
         found = solver.find(chains, times)
         if not 0.0 < found.along[0, 1] < 3.0:

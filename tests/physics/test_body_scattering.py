@@ -170,7 +170,7 @@ WAYS = [
 def test_what_is_heard_was_emitted_last() -> None:
     """Up to three mirrors on a leg, a plate that swings among them: 1e-7 m."""
     scene, time, random = scene_of(SWING), 0.13, np.random.default_rng(7)
-    flat = Mirrors.of(scene)
+    flat = Mirrors.of(scene.room, scene.bodies)
     ends = scene.sources[0].trajectory, scene.receivers[0].trajectory
     for name, before, after in WAYS:
         body = next(s for s in scene.scatterers if s.name == name)

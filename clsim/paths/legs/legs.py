@@ -366,7 +366,7 @@ class MovingLeg(ByRow):
 
     def in_scene(self, scene: Scene, surfaces: Integers) -> MovingLeg:
         """Return legs by the mirrors of another scene."""
-        return MovingLeg(self.surfaces, Mirrors.of(scene))
+        return MovingLeg(self.surfaces, Mirrors.of(scene.room, scene.bodies))
 
     def named(self, name: str) -> Iterator[tuple[str, Any]]:
         """Yield the columns by name."""

@@ -14,7 +14,6 @@ from clsim.numerics.quaternions import cross_product, rotate
 from clsim.scene.body import Body
 from clsim.scene.room.edges import Edges, find_edges
 from clsim.scene.room.protocol import Room
-from clsim.scene.scene import Scene
 
 Integers = NDArray[np.signedinteger[Any]]
 
@@ -55,15 +54,14 @@ class Mirrors:
     bodies: tuple[Body, ...]  # of the scene
 
     @staticmethod
-    def of(scene: Scene) -> Mirrors:
-        """Return the mirrors of a scene."""
-        bodies = tuple(scene.bodies)
-        faces = [scene.room.faces, *(body.mesh.faces for body in bodies)]
+    def of(room: Room, bodies: Sequence[Body]) -> Mirrors:
+        """Collect the mirrors of a room and of bodies."""
+        faces = [room.faces, *(body.mesh.faces for body in bodies)]
         counts = [len(each) for each in faces]
         return Mirrors(
             read_only(np.concatenate([each.normals for each in faces])),
             read_only(np.concatenate([each.offsets for each in faces])),
-            read_only(np.repeat(np.arange(-1, len(bodies)), counts)), read_only(np.cumsum(counts)[:-1]), bodies,
+            read_only(np.repeat(np.arange(-1, len(bodies)), counts)), read_only(np.cumsum(counts)[:-1]), tuple(bodies),
         )  # fmt: skip
 
     def planes(self, walls: Integers, now: Floats, event: Floats, place: Floats | None) -> Planes:

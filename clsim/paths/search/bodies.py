@@ -110,7 +110,7 @@ class BodySearch:
     def obstacles(self) -> Obstacles:
         """What reflects and hides in the scene."""
         walls = (*(body.mesh.walls for body in self.scene.bodies), self.room.walls)
-        return Obstacles(Mirrors.of(self.scene), walls, self.scene.room.is_convex)
+        return Obstacles(Mirrors.of(self.scene.room, self.scene.bodies), walls, self.scene.room.is_convex)
 
     def _pair(self, source: int, receiver: int) -> PairQuery:
         """Candidates between two endpoints."""

@@ -242,7 +242,7 @@ class _Sight:
             query, trajectory_tables=_perturbed(with_points(query.trajectory_tables, row, place), row),
             medium=query.medium if row == 0 else _AT_ONCE, first=np.full(len(some), span[0]), last=span[1] + late,
         )  # fmt: skip
-        device = None if finder.device is None else finder.device.for_query(requested)
+        device = None if finder.device is None else replace(finder.device, query=requested)
         self._finder = replace(finder, query=requested, device=device)
         self._seen = [self._found(sides, n, late) for n in range(int(most.max(initial=-1)) + 1)]
 

@@ -157,14 +157,13 @@ def mesh_paths(scene: Scene, room: MeshRoom, search: PathOptions) -> Chain:
         MeshSearch(order, search).paths(scene, room, source, partial(report, search.notify, i / count, (i + 1) / count))
         for i, source in enumerate(scene.sources)
     ]
-    names = ("receiver", "order", "walls", "begin", "end")
-    receiver, orders, walls, begin, end = (np.concatenate([getattr(f, name) for f in found]) for name in names)
-    if len(walls) > search.path_limit:
-        raise InputError("path_limit", f"must hold all paths, but is {search.path_limit} and they are {len(walls)}")
-    matrix, offset = image_isometries(room.walls, walls)
+    every = FoundPaths.joined(found)
+    if (whole := len(every.walls)) > search.path_limit:
+        raise InputError("path_limit", f"must hold all paths, but is {search.path_limit} and they are {whole}")
     source = np.repeat(np.arange(count, dtype=np.int32), [len(f.order) for f in found])
-    always = source, receiver.astype(np.int32), orders.astype(np.int32), begin, end
-    columns: Any = [read_only(column) for column in (*always, walls, matrix, offset)]
+    ends = source, every.receiver.astype(np.int32), every.order.astype(np.int32), every.begin, every.end
+    images_of = every.walls, *image_isometries(room.walls, every.walls)
+    columns: Any = [read_only(column) for column in (*ends, *images_of)]
     images = image_columns(*columns[5:])
     if scene.panels:
         images |= _met(found)

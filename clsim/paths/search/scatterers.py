@@ -84,7 +84,7 @@ def scattered_paths(scene: Scene, before: Side, after: Side, order: int, limit: 
     columns = {name: read_only(np.concatenate([each[name] for each in found])) for name in found[0]}
     vertex = ScattererVertex.of(scene.scatterers, columns["scatterer"])
     if before.leg is None:
-        family = moving_paths(scene, Mirrors.of(scene), columns, ("before", "after"), vertex)
+        family = moving_paths(scene, Mirrors.of(scene.room, scene.bodies), columns, ("before", "after"), vertex)
         return replace(family, vertex=replace(vertex, nearest=read_only(_nearest_moving(family))))
     walls, at = len(scene.room.faces), (vertex.interaction, vertex.objects)
     kinds, objects = met_in_order((walls, walls), columns["before"], at, columns["after"])
@@ -172,7 +172,8 @@ def received_after(
                 break
         received[known] += flight
         return received
-    mirrors, medium, times = Mirrors.of(scene), mean_medium_of(scene.air, frequency), received[known, None]
+    mirrors, times = Mirrors.of(scene.room, scene.bodies), received[known, None]
+    medium = mean_medium_of(scene.air, frequency)
     for _ in range(_MOVING_STEPS):
         found = find_events(mirrors, after.surfaces[rows[known]], motions, medium, times)
         step = (times - found.delay - events[known, None]) / (1.0 - found.rate)

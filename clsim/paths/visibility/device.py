@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -37,40 +38,32 @@ def progress(depth: int) -> np.dtype[np.void]:
     return np.dtype(fields)
 
 
+@dataclass(frozen=True, eq=False)
 class DeviceSearch:
     """Answers one query on a device (DeviceInfo, pyopencl.Device) with float64."""
 
-    def __init__(self, query: intervals.VisibilityQuery, device: tuple[devices.DeviceInfo, Any] | None = None) -> None:
-        import pyopencl as cl
+    query: intervals.VisibilityQuery
+    device: tuple[devices.DeviceInfo, Any] = field(default_factory=partial(devices.find_device, None))
 
-        self._query = query
-        self._device = device or devices.find_device(None)
-        self._info, handle = self._device
-        self._compiler = compiler_of(handle)
-        self._queue = cl.CommandQueue(self._compiler.context)
-        self._upload = partial(upload, self._queue.context)
-        walls, ends = query.walls, query.trajectory_tables
-        tables = ("places", "scales", "knots", "speeds", "mounts")
-        self._arguments = room_arguments(self._queue.context, walls, self._info)
+    @cached_property
+    def _arguments(self) -> dict[str, Any]:
+        """Arguments of kernels that are the same for all paths, in the memory of the device."""
+        query, context = self.query, compiler_of(self.device[1]).context
+        walls, ends, tables = query.walls, query.trajectory_tables, ("places", "scales", "knots", "speeds", "mounts")
         sizes = {f"the {name} of trajectories": float(getattr(ends, name).nbytes) for name in tables}
         remedy = f"look for the paths of fewer receivers at a time, {ELSEWHERE}"
-        devices.check_buffers(self._info, sizes, "source and receivers", remedy)
-        self._arguments |= {name: self._upload(getattr(ends, name)) for name in tables}
-        self._arguments |= {
+        found = room_arguments(context, walls, self.device[0])
+        devices.check_buffers(self.device[0], sizes, "source and receivers", remedy)
+        wind = None if query.medium.wind is None else upload(context, np.array(query.medium.wind))
+        return found | {name: upload(context, getattr(ends, name)) for name in tables} | {
             "smallest_move": intervals.SMALLEST_MOVE * walls.size, "graze": intervals.GRAZE * walls.size,
             "resolution": query.resolution,
-            "speed_of_sound": query.medium.speed_of_sound, "slowest": query.medium.slowest, "wind": None,
+            "speed_of_sound": query.medium.speed_of_sound, "slowest": query.medium.slowest, "wind": wind,
         }  # fmt: skip
-        if query.medium.wind is not None:
-            self._arguments["wind"] = self._upload(np.array(query.medium.wind))
-
-    def for_query(self, query: intervals.VisibilityQuery) -> DeviceSearch:
-        """Make the search of another query on the same device."""
-        return DeviceSearch(query, self._device)
 
     def find(self, sequence: NDArray[np.int32], receiver: NDArray[np.int64]) -> intervals.Intervals:
         """Return the intervals in which paths are valid; arguments as in `find_intervals`."""
-        spans = self._query.first[receiver], self._query.last[receiver]
+        spans = self.query.first[receiver], self.query.last[receiver]
         columns = {"sequences": sequence, "receiver_of": receiver.astype(np.int32)}
         return self.settle("intervals", {"AT_EDGE": 0}, columns, spans, {})
 
@@ -104,11 +97,11 @@ class DeviceSearch:
         """Largest number of evaluations of paths of an order in a launch: legs are near all boxes, twice."""
         each = 2.0 * (order + 1) * OPERATIONS_PER_BOX * (1.0 + float(self._arguments["box_count"]))
         most = min(_EVALUATIONS, self._room_for(2 * INTERVAL.itemsize))
-        return max(1, int(min(most, devices.operations_in_launch(self._info) / each)))
+        return max(1, int(min(most, devices.operations_in_launch(self.device[0]) / each)))
 
     def _room_for(self, size: int) -> int:
         """Return the number of structures of a size kept in a buffer, which is an eighth of the memory at most."""
-        return max(1, int(min(self._info.largest_buffer_bytes, self._info.memory_bytes / 8)) // size)
+        return max(1, int(min(self.device[0].largest_buffer_bytes, self.device[0].memory_bytes / 8)) // size)
 
     def _search(
         self, program: str, own: dict[str, Any], columns: dict[str, NDArray[Any]], states: NDArray[Any],
@@ -117,36 +110,37 @@ class DeviceSearch:
         """Search some paths in launches of bounded length; return their intervals and the evaluations."""
         import pyopencl as cl
 
-        context, flags, sequence = self._queue.context, cl.mem_flags, columns["sequences"]
+        compiler, flags, sequence = compiler_of(self.device[1]), cl.mem_flags, columns["sequences"]
+        queue, put = cl.CommandQueue(compiler.context), partial(upload, compiler.context)
         constants = {
             "ORDER": sequence.shape[1], "DEPTH": _DEPTH, "KNOT_COLUMNS": CUBIC_COLUMNS, "RETARDED": 1,
-            "STATIC_RECEIVERS": 0, "NODES_AT_ONCE": 1, "WIND": int(self._query.medium.wind is not None),
-            "GROUPED": int(self._query.walls.tree.has_groups), "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL,
+            "STATIC_RECEIVERS": 0, "NODES_AT_ONCE": 1, "WIND": int(self.query.medium.wind is not None),
+            "GROUPED": int(self.query.walls.tree.has_groups), "EVER": EVER, "INNER": INNER, "PARALLEL": PARALLEL,
             **{name: getattr(intervals, name) for name in ("GRAZE_TIME", "ALONG", "CERTAIN", "LEAST_SHARE")},
             "TOUCHING": TOUCHING, "SOURCE_PERTURBATION": _triple(intervals.PERTURBATIONS[0]),
             "RECEIVER_PERTURBATION": _triple(intervals.PERTURBATIONS[1]),
         }  # fmt: skip
-        kernel = self._compiler.kernel(program, constants | own)
+        kernel = compiler.kernel(program, constants | own)
         # No buffer is empty, also of paths without walls.
-        paths = {name: self._upload(np.append(column, 0).astype(np.int32)) for name, column in columns.items()}
-        on_device = self._upload(states)
+        paths = {name: put(np.append(column, 0).astype(np.int32)) for name, column in columns.items()}
+        on_device = put(states)
         active = np.flatnonzero(states["depth"]).astype(np.int32)
         parts = []
         while len(active):
             budget = max(1, self._evaluations(sequence.shape[1]) // len(active))
             room = (budget + 1) * len(active)
-            found = cl.Buffer(context, flags.READ_WRITE, INTERVAL.itemsize * room)
-            count = self._upload(np.zeros(1, dtype=np.int32))
+            found = cl.Buffer(compiler.context, flags.READ_WRITE, INTERVAL.itemsize * room)
+            count = put(np.zeros(1, dtype=np.int32))
             kernel(
-                self._queue, work(len(active), group=GROUP), **self._arguments, **paths, **others, active=active,
+                queue, work(len(active), group=GROUP), **self._arguments, **paths, **others, active=active,
                 active_count=len(active), budget=budget, states=on_device, found=found, found_count=count,
             )  # fmt: skip
             made = np.empty(1, dtype=np.int32)
-            cl.enqueue_copy(self._queue, made, count)
+            cl.enqueue_copy(queue, made, count)
             if made[0]:
                 parts.append(np.empty(made[0], dtype=INTERVAL))
-                cl.enqueue_copy(self._queue, parts[-1], found)
-            cl.enqueue_copy(self._queue, states, on_device)
+                cl.enqueue_copy(queue, parts[-1], found)
+            cl.enqueue_copy(queue, states, on_device)
             active = active[states["depth"][active] > 0]
             self._refuse_endless(states["evaluations"], sequence)
         return np.concatenate(parts) if parts else np.empty(0, dtype=INTERVAL), int(states["evaluations"].sum())

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from clsim.arrays import Floats, Ints, firsts, read_only
 from clsim.errors import InputError
 from clsim.paths.cubics import KNOT_RATES, cubics_between
-from clsim.paths.propagation import Medium, UniformAir, contract_delay
+from clsim.paths.propagation import UniformAir, contract_delay
 from clsim.paths.visibility.clearance import Reach, mirrored, path_status
 from clsim.paths.visibility.occlusion import in_air
 from clsim.scene.motion.motion import Motion
@@ -100,11 +100,6 @@ class TrajectoryTables:
         """Return spheres that hold the receivers, one for each."""
         spheres = [self.sphere(row, begin, end) for row in range(1, len(self.places))]
         return BoundingSpheres(np.array([s[0] for s in spheres]).reshape(-1, 3), np.array([s[1] for s in spheres]))
-
-    def delay(self, mirrored: Floats, receiver_at: Floats, time: Floats, medium: Medium) -> Floats:
-        """Return the delays (n,) from the source to places as it sees them and as they are, (n, 3) m each; s."""
-        source = np.zeros(len(time), dtype=np.int64)
-        return contract_delay(medium, partial(self.position, source), mirrored, receiver_at, time)
 
 
 def with_points(tables: TrajectoryTables, row: int, places: Floats) -> TrajectoryTables:
@@ -238,7 +233,7 @@ class VisibilityQuery:
         image = at
         for k in range(sequence.shape[1] - 1, -1, -1):
             image = mirrored(walls, sequence[:, k], image)
-        emission_time = time - ends.delay(image, at, time, self.medium)
+        emission_time = time - contract_delay(self.medium, partial(ends.position, source), image, at, time)
         late = self.time_dilation[receiver]
         reach = Reach(
             half * late * ends.speed_over(source, emission_time - late * half, emission_time + late * half),

@@ -15,7 +15,7 @@ from clsim.paths.legs.events import Events, find_events
 from clsim.paths.legs.legs import path_vertices
 from clsim.paths.propagation import UniformAir, mean_medium_of
 from clsim.paths.visibility.certainty import EARLIER, Drift, Line, absent, averted, behind, drift, straightened
-from clsim.paths.visibility.obstacles import LegDrift, Legs, Obstacles
+from clsim.paths.visibility.obstacles import LegDrift, Obstacles
 from clsim.paths.visibility.rates import FAR, GRAZE_TIME, EndRates, Pace, lasts, taken_for
 from clsim.paths.visibility.subdivision import ROUNDS, Status
 from clsim.scene.motion.motion import Motion
@@ -107,23 +107,16 @@ class MirrorEvaluation:
         self, walls: NDArray[np.int32], line: Line, change: Drift, pace: Pace, some: Rows, kept: Floats
     ) -> tuple[Bools, Floats]:
         """Mask of free paths among some that meet their mirrors, and the time for which that is certain."""
-        free, sure, order = np.ones(len(some), dtype=bool), np.array(kept), walls.shape[1]
-        padded: Any = np.pad(walls, ((0, 0), (1, 1)), constant_values=-1)
-        when = line.now[:, None] + line.time
-        for leg in range(order + 1):
-            rows = np.flatnonzero(free)
+        order = walls.shape[1]
+
+        def changes(leg: int, rows: Rows) -> LegDrift:
             p = some[rows]
-            legs = Legs(line.place[p, leg], line.place[p, leg + 1], when[p, leg], when[p, leg + 1])
-            held = pace.held[p] & np.array([leg == 0, leg == order])
-            changes = LegDrift(
-                change.place[p, leg], change.place[p, leg + 1], change.dilation[p, leg : leg + 2].max(axis=1), held,
-                pace.part(p),
-            )  # fmt: skip
-            blocked, certain = self.obstacles.evaluated(legs, padded[rows, leg], padded[rows, leg + 1], changes)
-            free[rows] = ~blocked
-            certain = np.minimum(certain, kept[rows])
-            sure[rows] = np.where(blocked, certain, np.minimum(sure[rows], certain))
-        return free, sure
+            held, late = pace.held[p] & np.array([leg == 0, leg == order]), change.dilation[p, leg : leg + 2]
+            return LegDrift(change.place[p, leg], change.place[p, leg + 1], late.max(axis=1), held, pace.part(p))
+
+        when, every = line.now[some, None] + line.time[some], np.full(len(some), order)
+        free, sure = self.obstacles.free(line.place[some], when, walls, every, changes)
+        return free, np.minimum(sure, kept)
 
 
 class _Ears:
@@ -212,15 +205,9 @@ class PastBodies:
 
     def _passes(self, place: Floats, when: Floats) -> NDArray[np.bool_]:
         """Mask (P, T) of polylines (P, T, V, 3) of events at times (P, T, V) that pass all bodies."""
-        shape = when.shape[:2]
-        free = np.ones(shape[0] * shape[1], dtype=bool)
         flat, at = place.reshape(-1, *place.shape[2:]), when.reshape(-1, when.shape[2])
-        for leg in range(at.shape[1] - 1):
-            rows = np.flatnonzero(free & np.isfinite(at[:, leg + 1]))
-            legs = Legs(flat[rows, leg], flat[rows, leg + 1], at[rows, leg], at[rows, leg + 1])
-            none = np.full(len(rows), -1)
-            free[rows] = ~self.obstacles.blocked(legs, none, none)
-        return free.reshape(shape)
+        order = np.sum(np.isfinite(at), axis=1) - 2
+        return self.obstacles.free(flat, at, _no_mirrors(at), order, None)[0].reshape(when.shape[:2])
 
     def status(self, rows: Rows, times: Floats) -> NDArray[np.bool_]:
         """Mask of paths (n,) that are free at times (n,)."""
@@ -239,23 +226,24 @@ class PastBodies:
         c, wind = medium.speed_of_sound, float(np.linalg.norm(medium.wind or (0.0, 0.0, 0.0)))
         late = 1.0 + (pace.source + pace.receiver) / np.maximum(c - wind - pace.source, 1e-3)
         slides = _corner_slides(place, np.maximum(late * pace.source, pace.receiver))
-        free, sure = np.ones(len(rows), dtype=bool), np.full(len(rows), FAR)
         order = np.sum(np.isfinite(when), axis=1) - 2
         speed = np.column_stack([pace.source * late, slides, np.zeros(len(rows))])
         speed[np.arange(len(rows)), order + 1] = pace.receiver
-        for leg in range(when.shape[1] - 1):
-            some = np.flatnonzero(free & (order >= leg))
+
+        def changes(leg: int, some: Rows) -> LegDrift:
             at = np.stack([np.full(len(some), leg == 0), order[some] == leg], axis=1)
             ends = speed[some, leg], speed[some, leg + 1]
             sooner = late[some] + np.maximum(*ends) / c
-            changes = LegDrift(*ends, sooner, pace.held[some] & at[:, None], pace.part(some))
-            legs = Legs(place[some, leg], place[some, leg + 1], when[some, leg], when[some, leg + 1])
-            none = np.full(len(some), -1)
-            blocked, certain = self.obstacles.evaluated(legs, none, none, changes)
-            free[some] = ~blocked
-            sure[some] = np.where(blocked, certain, np.minimum(sure[some], certain))
+            return LegDrift(*ends, sooner, pace.held[some] & at[:, None], pace.part(some))
+
+        free, sure = self.obstacles.free(place, when, _no_mirrors(when), order, changes)
         sure = pace.unless_jumps(sure)
         return free, sure, taken_for(sure, np.minimum(np.nanmax(speed, axis=1), FAR) + pace.all_lengths)
+
+
+def _no_mirrors(when: Floats) -> Rows:
+    """Mirrors (n, V - 2) at corners (n, V) on none."""
+    return np.full((len(when), when.shape[1] - 2), -1)
 
 
 def _corner_slides(place: Floats, most: Floats) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -45,6 +46,9 @@ class LegDrift(ByRow):
     pace: Pace  # of all that moves
 
 
+DriftOf = Callable[[int, Rows], LegDrift]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalDrift(ByRow):
     """Upper bounds of the rates of n legs in a body's frame, m/s: at their ends, and between them beyond those."""
@@ -74,21 +78,33 @@ class Obstacles:
             for surface in np.unique(surfaces[:, k][surfaces[:, k] >= 0]).tolist():
                 p, t = np.nonzero(ok & (surfaces[:, k] == surface)[:, None])
                 ok[p, t] = self._holds(surface, events.place[p, t, k + 1], when[p, t, k + 1])
-        for leg in range(surfaces.shape[1] + 1):
-            p, t = np.nonzero(ok & (order >= leg)[:, None])
-            legs = Legs(*(x[p, t, leg + i] for x in (events.place, when) for i in (0, 1)))
-            padded = np.pad(surfaces, ((0, 0), (1, 1)), constant_values=-1)
-            ok[p, t] = ~self.blocked(legs, padded[p, leg], padded[p, leg + 1])
+        p, t = np.nonzero(ok)
+        ok[p, t] = self.free(events.place[p, t], when[p, t], surfaces[p], order[p], None)[0]
         return ok
 
-    def blocked(self, legs: Legs, first: NDArray[Any], last: NDArray[Any]) -> Bools:
-        """Mask (n,) of legs between mirrors, -1 for none, that a wall or a body blocks."""
-        return self.evaluated(legs, first, last, None)[0]
+    def free(
+        self, place: Floats, when: Floats, mirrors: NDArray[Any], order: Rows, drift: DriftOf | None
+    ) -> tuple[Bools, Floats]:
+        """Mask of paths that nothing blocks between their corners, and the time for which that is certain, (n,) s.
+
+        Shapes: place (n, V, 3) m and when (n, V) s, of corners; mirrors (n, V - 2) at them, -1 for none; order (n,) of
+        these. drift: takes a leg and rows, and bounds how fast the legs of these rows change.
+        """
+        free, sure = np.ones(len(when), dtype=bool), np.full(len(when), FAR)
+        met = np.pad(mirrors, ((0, 0), (1, 1)), constant_values=-1)
+        for leg in range(when.shape[1] - 1):
+            some = np.flatnonzero(free & (order >= leg))
+            legs = Legs(place[some, leg], place[some, leg + 1], when[some, leg], when[some, leg + 1])
+            changes = None if drift is None else drift(leg, some)
+            blocked, certain = self.evaluated(legs, met[some, leg], met[some, leg + 1], changes)
+            free[some] = ~blocked
+            sure[some] = np.where(blocked, certain, np.minimum(sure[some], certain))
+        return free, sure
 
     def evaluated(
         self, legs: Legs, first: NDArray[Any], last: NDArray[Any], drift: LegDrift | None
     ) -> tuple[Bools, Floats]:
-        """Mask of blocked legs, as `blocked`, and the time for which that is certain, (n,) s."""
+        """Mask of legs between mirrors, -1 for none, that something blocks, and for how long that is certain, s."""
         found, sure = np.zeros(len(legs.left), dtype=bool), np.full(len(legs.left), FAR)
         if not self.convex:
             room = self.walls[ROOM]

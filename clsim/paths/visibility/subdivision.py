@@ -69,6 +69,10 @@ def _of_part(
     evaluate: Evaluation, status: Status, spans: tuple[Rows, Floats, Floats], resolution: float,
     notify: Callable[[float], None],
 ) -> Any:  # fmt: skip
+
+    def seen(rows: Rows, times: Floats) -> Bools:
+        return status(np.repeat(rows, times.shape[1]), times.ravel()).reshape(times.shape)
+
     which, begin, end = spans
     number, length = np.arange(len(which)), end - begin
     whole = float(np.sum(length)) or 1.0
@@ -90,8 +94,10 @@ def _of_part(
         if not np.all(short):
             stack.append(_divided(evaluate, which, tuple(x[~short] for x in gaps)))
         notify(sum(float(np.sum(late - early)) for _, early, late, _, _ in stack) / whole)
-    path, first, last, there, _ = map(np.concatenate, zip(*changes, strict=True))
-    return _joined(spans, at_first, (path, _narrowed(status, which[path], first, last, there, resolution), there))
+    row, first, last, there, _ = map(np.concatenate, zip(*changes, strict=True))
+    change = first_change(seen, which[row], (first, last), there, resolution, _AT_A_TIME)
+    path, first, last, _ = _stretches([(number, begin, _coded(at_first)), (row, change, _coded(~there))], end)
+    return which[path], first, last
 
 
 def _divided(evaluate: Evaluation, which: Rows, gaps: Gaps) -> Gaps:
@@ -117,34 +123,21 @@ def _open(gaps: Gaps) -> Gaps:
     return tuple(x[kept] for x in gaps)
 
 
-def _narrowed(status: Status, rows: Rows, begin: Floats, end: Floats, there: Bools, resolution: float) -> Floats:
-    """Return when (n,), between two times, paths are first seen no more to be as they were at the first, s."""
-    begin, end = np.array(begin), np.array(end)
-    share = np.arange(1, _PARTS) / _PARTS
-    while len(wide := np.flatnonzero(end - begin > resolution)):
-        times = begin[wide, None] + (end - begin)[wide, None] * share
-        seen = status(np.repeat(rows[wide], _PARTS - 1), times.ravel()).reshape(times.shape)
-        bounds = np.column_stack([begin[wide], times, end[wide]])
-        part = np.argmax(np.column_stack([seen != there[wide, None], np.ones(len(wide), dtype=bool)]), axis=1)
-        begin[wide], end[wide] = bounds[np.arange(len(wide)), part], bounds[np.arange(len(wide)), part + 1]
-    return end
+def _coded(there: Bools) -> Codes:
+    """Codes of paths that are there, 0, or not, -1."""
+    return there.astype(np.int8) - np.int8(1)
 
 
-def _joined(
-    spans: tuple[Rows, Floats, Floats], at_first: Bools, changes: tuple[Rows, Floats, Bools]
-) -> tuple[Rows, Floats, Floats]:
-    """Return certified from what changes when, and was there before."""
-    which, begin, end = spans
-    number, time, was = changes
-    order = np.lexsort((time, number))
-    number, time, was = number[order], time[order], was[order]
-    count = np.bincount(number, minlength=len(which))
-    at_last = at_first ^ (count % 2 == 1)
-    starts = np.concatenate([np.flatnonzero(at_first), number[~was]])
-    stops = np.concatenate([number[was], np.flatnonzero(at_last)])
-    bounds = np.concatenate([begin[at_first], time[~was]]), np.concatenate([time[was], end[at_last]])
-    i, j = np.lexsort((bounds[0], starts)), np.lexsort((bounds[1], stops))
-    return which[starts[i]], bounds[0][i], bounds[1][j]
+def _stretches(found: Sequence[tuple[Any, Any, Any]], last: Floats) -> tuple[Rows, Floats, Floats, Codes]:
+    """Order what rows are from times on, codes each, until the next time or the last one of the row; drop codes < 0."""
+    path, when, code = map(np.concatenate, zip(*found, strict=True))
+    order = np.lexsort((when, path))
+    path, when, code = path[order], when[order], code[order]
+    until = last[path]
+    goes_on = np.flatnonzero(path[1:] == path[:-1])
+    until[goes_on] = when[goes_on + 1]
+    kept = code >= 0
+    return path[kept], when[kept], until[kept], code[kept]
 
 
 def evaluations(bodies: Sequence[Body], ends: Sequence[Motion], last: float, longest: float, step: float) -> Floats:
@@ -172,29 +165,19 @@ def sampled(
     takes rows (P,) and some of the times (T,), and returns an approximation of `status` by places among these rows.
     Where that finds a change, two evaluations say whether it is one; else it is found by evaluations.
     """
-    there = np.zeros((len(rows), len(times)), dtype=bool)
-    found: list[tuple[Any, Any, Any]] = [(np.empty(0, dtype=np.int64),) * 2 + (np.empty(0),)]
+    found: list[tuple[Any, Any, Any]] = [(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int8))]
     for first in range(0, max(len(times) - 1, 1), _TOGETHER):
-        here = slice(first, min(first + _TOGETHER, len(times) - 1) + 1)
+        here = times[first : first + _TOGETHER + 1]
         for some in range(0, len(rows), _ROWS):
             part = np.arange(some, min(some + _ROWS, len(rows)))
-            quick = nearby(rows[part], times[here])
-            seen = quick(np.arange(len(part)), np.tile(times[here], (len(part), 1)))
-            there[part, here] = seen
+            quick = nearby(rows[part], here)
+            seen = quick(np.arange(len(part)), np.tile(here, (len(part), 1)))
+            if first == 0:
+                found.append((part, np.full(len(part), here[0]), _coded(seen[:, 0])))
             path, gap = np.nonzero(seen[:, 1:] != seen[:, :-1])
-            span = times[here][gap], times[here][gap + 1]
-            found.append((part[path], gap + first, _found(status, quick, (rows[part], path), span, resolution)))
-    path, gap, change = map(np.concatenate, zip(*found, strict=True))
-    # In the order of time each path's changes are begins and ends in turn.
-    early, late = np.flatnonzero(there[:, 0]), np.flatnonzero(there[:, -1])
-    rising = ~there[path, gap]
-    paths = np.concatenate([path[rising], early]), np.concatenate([path[~rising], late])
-    bounds = (
-        np.concatenate([change[rising], np.full(len(early), times[0])]),
-        np.concatenate([change[~rising], np.full(len(late), times[-1])]),
-    )
-    begin, end = (np.lexsort((when, whose)) for when, whose in zip(bounds, paths, strict=True))
-    return paths[0][begin], bounds[0][begin], bounds[1][end]
+            change = _found(status, quick, (rows[part], path), (here[gap], here[gap + 1]), resolution)
+            found.append((part[path], change, _coded(seen[path, gap + 1])))
+    return _stretches(found, np.full(len(rows), times[-1]))[:3]
 
 
 def _found(
@@ -268,11 +251,4 @@ def coded(
         found.append((path, change, after))
         more = (after != then) & (change < stop)
         path, begin, stop, code, then = (x[more] for x in (path, change, stop, after, then))
-    path, when, code = map(np.concatenate, zip(*found, strict=True))
-    order = np.lexsort((when, path))
-    path, when, code = path[order], when[order], code[order]
-    until = last[path]
-    goes_on = np.flatnonzero(path[1:] == path[:-1])
-    until[goes_on] = when[goes_on + 1]
-    kept = code >= 0
-    return path[kept], when[kept], until[kept], code[kept]
+    return _stretches(found, last)

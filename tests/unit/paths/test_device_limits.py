@@ -147,7 +147,7 @@ def test_long_tables_of_motion_say_what_to_do(monkeypatch: pytest.MonkeyPatch) -
     with pytest.raises(
         clsim.DeviceError, match=r"for the knots of trajectories: look for the paths of fewer receivers"
     ):
-        DeviceSearch(query, (small, handle))
+        DeviceSearch(query, (small, handle)).find(np.empty((1, 0), dtype=np.int32), np.zeros(1, dtype=np.int64))
 
 
 def test_without_float64_paths_are_searched_for_by_numpy(described, watched) -> None:
