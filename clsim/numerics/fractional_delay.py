@@ -220,7 +220,8 @@ def design_tilted(
         return (taps, 20 * math.log10(reached * importance)) if reached <= allowed else None
 
     shortest = max(2, (degree + 1) // 2)
-    found = _first(lambda i: tried(shortest + i), _LARGEST_LENGTH // 2, degree)
+    about = max(degree, int(_length_beyond(error_db, cutoff, (importance,))))
+    found = _first(lambda i: tried(shortest + i), _LARGEST_LENGTH // 2, about)
     assert found is not None
     found[0].flags.writeable = False
     return found

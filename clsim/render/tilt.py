@@ -21,12 +21,12 @@ Design = tuple[Basis, tuple[Bank, ...], "Stretches"]
 
 _MOST_TILT = 0.5  # exponent of a tilt at the band's end, between a delay and the middle of its stretch
 _STEPS = 16  # of that exponent, to which it is rounded up, so that designs are found again
-_LEAST_TILT = 1.0  # the same over all delays, below which functions of frequency cost as little
+_LEAST_TILT = 0.25  # the same over all delays, below which functions of frequency cost as little
 _ROUNDING_DB = 2.0, -1.0  # steps of what functions add, so that designs are found again, and the error of a weak one
 _NEAR = 1e-6  # m, by which the air that is passed may differ from delays at the speed of sound
 _FITTED = 33  # frequencies, through whose absorption the tilt goes
 _FLAT = 1e-3  # change of a wall's factor over the band, beyond which paths of equal length differ: without a tilt
-_LEAST_WORK = 5e7  # paths times samples of the envelope, below which designing costs more than is gained
+_LEAST_WORK = 1.5e7  # paths times samples of the envelope, below which designing costs more than is gained
 _FEW = 3  # functions, up to which no others are looked at
 _LEAST_PATHS = 100  # for each stretch beyond the first one, from which on their branch signals pay
 _COMPLEX = 1.15  # cost of a branch where delays are complex, relative to that of real ones

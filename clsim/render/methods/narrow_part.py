@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
 from clsim.numerics.blas import with_blas_threads
-from clsim.render.baseband import CYCLES, WIDEST, Baseband, blocks_of
+from clsim.render.baseband import CYCLES, USUAL, WIDEST, Baseband, blocks_of
 from clsim.render.contributions import Stateless, digest_of
 from clsim.render.envelope import LEVEL_TIME, MARGIN_DB, NarrowBand, Split
 from clsim.render.interpolator import Bandlimited
@@ -205,7 +205,8 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     steady = None if isinstance(signal.waveform, Chirp) else inner  # windows do not tell of others of a sweep
     spectra = [(each, width) for each, width in ((sound, _BINS), (inner, _SHARP_BINS)) if len(each.energy)]
     motion = tracks.max_rate(emission.source), _width_of_fades(tracks, pairs, error_db)
-    sets = dict.fromkeys(bands for each in spectra for bands in _band_sets(signal, *each, *motion))
+    paths = path_samples / samples
+    sets = dict.fromkeys(bands for each in spectra for bands in _band_sets(signal, *each, *motion, paths))
     costs = {bands: of_all + sum(of_band + _envelope_cost(band, rate) for band, *_ in bands) for bands in sets}
     found: list[NarrowOffer] = []
     for bands in sorted(sets, key=costs.__getitem__):
@@ -226,6 +227,15 @@ def _envelope_cost(band: Baseband, rate: float) -> float:
     """Return the processor time of a path's envelope in a sample of the sound, ns."""
     known = measured_costs()
     return known.nodes + known.envelope * (band.sampling_rate or rate) / rate
+
+
+def _cost_at(rate: float, half: float, paths: float) -> float:
+    """Return the processor time of envelopes at a rate for so many paths, ns in a second: sums and branch signals.
+
+    Delay filters are the longer, the nearer the band's end, `half` Hz, is to half the rate.
+    """
+    known, edge = measured_costs(), 2.0 * half / rate
+    return rate * (paths * known.envelope + known.branches * edge / (1.0 - edge))
 
 
 def can(emission: Emission, pairs: list[int], split: Split) -> str | None:
@@ -257,13 +267,13 @@ def _width_of_fades(tracks: Tracks, mine: list[int], error_db: float) -> float:
 
 
 def _band_sets(
-    signal: Signal, sound: ShortTimeSpectra, bins: float, max_rate: float, fades: float
+    signal: Signal, sound: ShortTimeSpectra, bins: float, max_rate: float, fades: float, paths: float
 ) -> Iterator[tuple[tuple[Baseband, float, float], ...]]:
     """Yield bands that may hold most of a sound, each with the ends of what is passed as it is, and at all, Hz."""
     spread, spectrum = bins * float(sound.frequencies[1]), (sound.frequencies, sound.weights @ sound.energy)
     for share, skirt in itertools.product(_SHARES, _SKIRTS):
         for ranges in ([shares(spectrum, share)], _ranges(spectrum, share, 2.0 * (spread + skirt))):
-            bands = [_band(signal, *ends, spread, skirt, max_rate, fades) for ends in ranges]
+            bands = [_band(signal, *ends, spread, skirt, max_rate, fades, paths) for ends in ranges]
             found = tuple(band for band in bands if band is not None)
             if 0 < len(found) == len(ranges):
                 yield found
@@ -281,9 +291,12 @@ def _ranges(spectrum: tuple[Floats, Floats], share: float, apart: float) -> list
 
 
 def _band(
-    signal: Signal, low: float, high: float, spread: float, skirt: float, max_rate: float, fades: float
+    signal: Signal, low: float, high: float, spread: float, skirt: float, max_rate: float, fades: float, paths: float
 ) -> tuple[Baseband, float, float] | None:
-    """Return a band for what is emitted in a range, with the ends of what is passed as it is, and at all, or None."""
+    """Return a band for what is emitted in a range, with the ends of what is passed as it is, and at all, or None.
+
+    Its rate is the cheaper one for so many paths: low, or so high that delay filters are short.
+    """
     rate, carrier = signal.sampling_rate, float(round(0.5 * (low + high)))
     if abs(signal.centre_frequency - carrier) < spread:
         carrier = signal.centre_frequency
@@ -291,11 +304,13 @@ def _band(
     half = flat + skirt
     # All that is emitted is received within the width, and at the rate what transitions spread.
     width, emitted = (2.0 * (x * (1.0 + max_rate) + carrier * max_rate) for x in (half, flat))
-    width = max(width, WIDEST * (emitted + 2.0 * fades))
-    every = math.floor(rate / max(width / WIDEST, carrier / CYCLES))
-    if every < _LEAST_EVERY or width > min(carrier, rate - 2.0 * carrier):
-        return None
-    return Baseband(carrier, width, rate / every), flat, half
+    found = []
+    for widest in (WIDEST, USUAL):
+        held = max(width, widest * (emitted + 2.0 * fades))
+        every = math.floor(rate / max(held / widest, carrier / CYCLES))
+        if every >= _LEAST_EVERY and held <= min(carrier, rate - 2.0 * carrier):
+            found.append((Baseband(carrier, held, rate / every), flat, half))
+    return min(found, key=lambda band: _cost_at(band[0].sampling_rate or rate, half, paths), default=None)
 
 
 def _some(signal: Signal) -> tuple[ShortTimeSpectra, ShortTimeSpectra]:
