@@ -298,6 +298,12 @@ def _taps(up: int, down: int) -> Floats:
     return np.pad(taps, -half % down)
 
 
+def turns(turn: Fraction, first: int, last: int) -> Complexes:
+    """Return ``exp(2 pi j turn n)`` for n from `first` to `last`, exact however late, (last - first,)."""
+    cycles = float(first * turn % 1) + float(turn) * np.arange(min(last - first, turn.denominator))
+    return np.resize(np.exp(2j * math.pi * cycles), last - first)
+
+
 _IMAGE_STOP_DB = 115.0
 _COLUMNS = 96  # samples of the sound in a row of a product at least
 _WINDOWED = 2**15  # numbers of windows that are multiplied at a time
@@ -340,16 +346,14 @@ class Upsampler:
         # The envelopes begin with their sample ``first + 1 - reach``.
         count = envelopes.shape[1] - 2 * self.reach + 1
         begin = first + 1 - self.reach
-        whole = begin * self.turn % 1  # exact, however late
-        cycles = float(whole) + float(self.turn) * np.arange(envelopes.shape[1])
-        turns = np.exp(2j * math.pi * cycles).astype(np.complex64)
+        turned_by = turns(self.turn, begin, begin + envelopes.shape[1]).astype(np.complex64)
         taps = self.taps.reshape(-1, self.taps.shape[2])
         step, rows = 2 * taps.shape[1] // self.every, -(-count * self.every // taps.shape[1])
         some_rows = _WINDOWED // len(taps) + 1
-        beyond = (rows - 1) * step + len(taps) - 2 * len(turns)
+        beyond = (rows - 1) * step + len(taps) - 2 * envelopes.shape[1]
         out = np.empty((rows, taps.shape[1]), dtype=np.float32)
         for row, envelope in zip(sound, envelopes, strict=True):
-            turned = np.pad((envelope.astype(np.complex64, copy=False) * turns).view(np.float32), (0, beyond))
+            turned = np.pad((envelope.astype(np.complex64, copy=False) * turned_by).view(np.float32), (0, beyond))
             windows = sliding_window_view(turned, len(taps))[::step]
             for at in range(0, rows, some_rows):
                 some = windows[at : at + some_rows]

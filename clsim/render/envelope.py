@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
-from clsim.numerics.convolution import low_pass_between
+from clsim.numerics.convolution import low_pass_between, turns
 from clsim.paths.channel import ImpulseResponse
 from clsim.render.baseband import WIDEST_SUBBLOCK, Baseband, half_band
 from clsim.render.contributions import digest_of
@@ -88,9 +88,7 @@ class Mixer:
             self.kept.update(zip(blocks[-_KEPT:], of_blocks[-_KEPT:], strict=True))
         made = np.concatenate(of_blocks, axis=1)
         out = made[:, first - blocks[0] * size : last - blocks[0] * size]
-        whole = first * self.turn % 1  # exact, however late
-        cycles = float(whole) + float(self.turn) * np.arange(last - first)
-        return np.asarray(out * np.exp(-2j * math.pi * cycles).astype(out.dtype))
+        return np.asarray(out * np.conj(turns(self.turn, first, last)).astype(out.dtype))
 
     def _made(self, read: Callable[[int, int], Floats], first: int, size: int, gains: NDArray[Any]) -> NDArray[Any]:
         """Return samples of the filtered sound before it is turned, (K, size)."""
@@ -152,8 +150,8 @@ class EnvelopeFilters(SourceFilters):
     def active(self, first: int, last: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
         """Return the non-zero samples of streams with branches from `first` to `last`: offsets (n,), values (K, n)."""
         streams = self.mixer(self.signal.read, first, last, single=True)
-        places = np.flatnonzero(np.any(streams != 0.0, axis=0))
-        return places, streams[:, places]
+        places = np.flatnonzero(np.any(streams, axis=0))
+        return places, streams if len(places) == last - first else streams[:, places]
 
     def emitted(self, first: int, last: int) -> NDArray[Any]:
         return np.asarray(self.plain(self.signal.read, first, last)[0])
