@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
+from clsim.numerics.band_filters import magnitudes
 from clsim.numerics.convolution import low_pass_between, turns
 from clsim.paths.channel import ImpulseResponse
 from clsim.render.baseband import WIDEST_SUBBLOCK, Baseband, half_band
@@ -21,7 +22,7 @@ from clsim.render.methods.costs import measured_costs
 from clsim.render.opencl.batches import CELL
 from clsim.render.source_filters import Emission, SourceFilters, filtered
 from clsim.render.tilt import WHOLE, Stretches, bank_of, cheapest, stretches_of
-from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
+from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra
 from clsim.scene.signal.signal import Signal
 from clsim.tracks.basis import Basis
 
@@ -214,13 +215,17 @@ def envelope_filters(
     rate, held = baseband.sampling_rate or 0.0, (baseband.carrier - half, baseband.carrier + half)
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
     edge = math.ceil(edge * 64) / 64
+    ends = edge * rate / (2.0 * math.pi) * np.arange(CELLS + 1) / CELLS
+    gain = magnitudes(low_pass[None], 2.0 * math.pi / sampling_rate * ends)[0]
+    passed = np.maximum(gain[1:], gain[:-1])
     mu_max = math.ceil((_ROUNDED + 0.5 * (WIDEST_SUBBLOCK - 1) * max_rate) * 32) / 32
 
     def designed(stretches: Stretches) -> tuple[Basis, tuple[Bank, ...], Stretches]:
         """Return functions of frequency beside a tilt, their banks, and its stretches."""
         basis = emission.basis(held, sampling_rate, envelope=True, tilt=stretches.tilt)
         own = basis.sizes[:: 1 + int(basis.paired)].tolist()
-        banks = (bank_of(size, interpolator.error_db, edge, mu_max, stretches) for size in own)
+        away = emission.sound.importance(ends[-1], basis.loudness, baseband.carrier)
+        banks = (bank_of(size, away * passed, interpolator, edge, mu_max, stretches) for size in own)
         return basis, tuple(banks), stretches
 
     basis, banks, stretches = cheapest(emission, stretches_of(emission, held, rate, edge, tilted), designed)
