@@ -153,6 +153,7 @@ class _Upsampled:
 _SHARES = (1e-3, 1e-6, 1e-9, 1e-11)  # of the energy to either side of what is passed as it is
 _SKIRTS = (1e3, 2e3, 4e3)  # Hz, over which the band-pass falls
 _MOST_BANDS = 6
+_LENGTHENED = 0.17  # of the cost of upsampling, times the rate over what bands leave of it
 _BINS, _SHARP_BINS = 10.0, 1.0  # added to bands: of short-time spectra what a tone spreads in them, of others the step
 _LEAST_EVERY = 2  # samples of the sound in one of the envelope: up to there the cost decides
 _WINDOWS, _ENDS = 8, 4  # windows of a signal that are looked at for silence of the rest, and more at either end
@@ -205,8 +206,8 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     steady = None if isinstance(signal.waveform, Chirp) else inner  # windows do not tell of others of a sweep
     spectra = [(each, width) for each, width in ((sound, _BINS), (inner, _SHARP_BINS)) if len(each.energy)]
     motion = tracks.max_rate(emission.source), _width_of_fades(tracks, pairs, error_db)
-    paths = path_samples / samples
-    sets = dict.fromkeys(bands for each in spectra for bands in _band_sets(signal, *each, *motion, paths))
+    work = path_samples / samples, len(pairs)
+    sets = dict.fromkeys(bands for each in spectra for bands in _band_sets(signal, *each, *motion, work))
     costs = {bands: of_all + sum(of_band + _envelope_cost(band, rate) for band, *_ in bands) for bands in sets}
     found: list[NarrowOffer] = []
     for bands in sorted(sets, key=costs.__getitem__):
@@ -229,13 +230,16 @@ def _envelope_cost(band: Baseband, rate: float) -> float:
     return known.nodes + known.envelope * (band.sampling_rate or rate) / rate
 
 
-def _cost_at(rate: float, half: float, paths: float) -> float:
-    """Return the processor time of envelopes at a rate for so many paths, ns in a second: sums and branch signals.
+def _cost_at(band: Baseband, half: float, rate: float, paths: float, pairs: int) -> float:
+    """Return the processor time of envelopes by what depends on their rate, ns in a second.
 
-    Delay filters are the longer, the nearer the band's end, `half` Hz, is to half the rate.
+    Filters are the longer the nearer the ends are to half the rate: for delays those at `half` Hz, for upsampling to a
+    `rate`, Hz, those of what is received.
     """
-    known, edge = measured_costs(), 2.0 * half / rate
-    return rate * (paths * known.envelope + known.branches * edge / (1.0 - edge))
+    known, own = measured_costs(), band.sampling_rate or rate
+    edge, width = 2.0 * half / own, band.bandwidth / own
+    summed = own * (paths * known.envelope + known.branches * edge / (1.0 - edge))
+    return summed + rate * pairs * known.upsampled * _LENGTHENED / (1.0 - width)
 
 
 def can(emission: Emission, pairs: list[int], split: Split) -> str | None:
@@ -267,13 +271,16 @@ def _width_of_fades(tracks: Tracks, mine: list[int], error_db: float) -> float:
 
 
 def _band_sets(
-    signal: Signal, sound: ShortTimeSpectra, bins: float, max_rate: float, fades: float, paths: float
+    signal: Signal, sound: ShortTimeSpectra, bins: float, max_rate: float, fades: float, work: tuple[float, int]
 ) -> Iterator[tuple[tuple[Baseband, float, float], ...]]:
-    """Yield bands that may hold most of a sound, each with the ends of what is passed as it is, and at all, Hz."""
+    """Yield bands that may hold most of a sound, each with the ends of what is passed as it is, and at all, Hz.
+
+    work: numbers of paths and of pairs.
+    """
     spread, spectrum = bins * float(sound.frequencies[1]), (sound.frequencies, sound.weights @ sound.energy)
     for share, skirt in itertools.product(_SHARES, _SKIRTS):
         for ranges in ([shares(spectrum, share)], _ranges(spectrum, share, 2.0 * (spread + skirt))):
-            bands = [_band(signal, *ends, spread, skirt, max_rate, fades, paths) for ends in ranges]
+            bands = [_band(signal, *ends, spread, skirt, max_rate, fades, work) for ends in ranges]
             found = tuple(band for band in bands if band is not None)
             if 0 < len(found) == len(ranges):
                 yield found
@@ -291,11 +298,12 @@ def _ranges(spectrum: tuple[Floats, Floats], share: float, apart: float) -> list
 
 
 def _band(
-    signal: Signal, low: float, high: float, spread: float, skirt: float, max_rate: float, fades: float, paths: float
-) -> tuple[Baseband, float, float] | None:
+    signal: Signal, low: float, high: float, spread: float, skirt: float, max_rate: float, fades: float,
+    work: tuple[float, int],
+) -> tuple[Baseband, float, float] | None:  # fmt: skip
     """Return a band for what is emitted in a range, with the ends of what is passed as it is, and at all, or None.
 
-    Its rate is the cheaper one for so many paths: low, or so high that delay filters are short.
+    Its rate is the cheaper one for so many paths and pairs (`work`): low, or so high that filters are short.
     """
     rate, carrier = signal.sampling_rate, float(round(0.5 * (low + high)))
     if abs(signal.centre_frequency - carrier) < spread:
@@ -310,7 +318,7 @@ def _band(
         every = math.floor(rate / max(held / widest, carrier / CYCLES))
         if every >= _LEAST_EVERY and held <= min(carrier, rate - 2.0 * carrier):
             found.append((Baseband(carrier, held, rate / every), flat, half))
-    return min(found, key=lambda band: _cost_at(band[0].sampling_rate or rate, half, paths), default=None)
+    return min(found, key=lambda band: _cost_at(band[0], half, rate, *work), default=None)
 
 
 def _some(signal: Signal) -> tuple[ShortTimeSpectra, ShortTimeSpectra]:
