@@ -298,8 +298,15 @@ def _taps(up: int, down: int) -> Floats:
     return np.pad(taps, -half % down)
 
 
+def turns(turn: Fraction, first: int, last: int) -> Complexes:
+    """Return ``exp(2 pi j turn n)`` for n from `first` to `last`, exact however late, (last - first,)."""
+    cycles = float(first * turn % 1) + float(turn) * np.arange(min(last - first, turn.denominator))
+    return np.resize(np.exp(2j * math.pi * cycles), last - first)
+
+
 _IMAGE_STOP_DB = 115.0
-_ROWS = 512  # samples of the envelope taken together: their windows stay in cache
+_COLUMNS = 96  # samples of the sound in a row of a product at least
+_WINDOWED = 2**15  # numbers of windows that are multiplied at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -308,14 +315,15 @@ class Upsampler:
 
     ``y[n] = Re sum_m h[n - m every] e[m] exp(2 pi j carrier n / rate)``: with the envelope turned to the carrier's
     phase at its own samples, the rest of the turn is that of ``n - m every`` and part of the taps. So every sample of
-    the sound is one product of real numbers with a window of the envelope, and all of them a product of matrices.
+    the sound is one product of real numbers with a window of the envelope, and all of them a product of matrices. A
+    window is that of a few samples of the envelope, lest matrices be narrow.
     """
 
     every: int  # samples of the sound in one of the envelope
     turn: Fraction  # part of a turn of the carrier in one sample of the envelope beyond whole ones
     # Samples of the envelope that are looked at: sample 0 of the sound takes those from ``1 - reach`` to ``reach``.
     reach: int
-    # (2 reach, 2, every) by sample of the envelope, its real and imaginary part, and sample of the sound.
+    # (2 reach + n - 1, 2, n every) by sample of the envelope, its real and imaginary part, and sample of the sound.
     taps: NDArray[np.float32]
 
     @classmethod
@@ -327,8 +335,9 @@ class Upsampler:
         at_rest = every * low_pass(0.5 * (images + half) / (0.5 * rate), 2 * middle + 1, _IMAGE_STOP_DB)
         mixed = at_rest * np.exp(2j * math.pi * (carrier / rate) * np.arange(-middle, middle + 1))
         # Sample n looks at m = 1 - reach ... reach through the tap at n - m every.
-        at = np.arange(every) - every * np.arange(1 - reach, reach + 1)[:, None] + middle
-        taps = np.where(at >= 0, mixed[np.maximum(at, 0)], 0.0)
+        samples = -(-_COLUMNS // every) * every
+        at = np.arange(samples) - every * np.arange(1 - reach, reach + samples // every)[:, None] + middle
+        taps = np.where((at >= 0) & (at < len(mixed)), mixed[np.clip(at, 0, 2 * middle)], 0.0)
         turn = Fraction(carrier) * every / Fraction(rate) % 1
         return cls(every, turn, reach, np.stack([taps.real, -taps.imag], axis=1).astype(np.float32))
 
@@ -337,17 +346,19 @@ class Upsampler:
         # The envelopes begin with their sample ``first + 1 - reach``.
         count = envelopes.shape[1] - 2 * self.reach + 1
         begin = first + 1 - self.reach
-        whole = begin * self.turn % 1  # exact, however late
-        cycles = float(whole) + float(self.turn) * np.arange(envelopes.shape[1])
-        turns = np.exp(2j * math.pi * cycles).astype(np.complex64)
-        taps, out = self.taps.reshape(-1, self.every), np.empty((count, self.every), dtype=np.float32)
+        turned_by = turns(self.turn, begin, begin + envelopes.shape[1]).astype(np.complex64)
+        taps = self.taps.reshape(-1, self.taps.shape[2])
+        step, rows = 2 * taps.shape[1] // self.every, -(-count * self.every // taps.shape[1])
+        some_rows = _WINDOWED // len(taps) + 1
+        beyond = (rows - 1) * step + len(taps) - 2 * envelopes.shape[1]
+        out = np.empty((rows, taps.shape[1]), dtype=np.float32)
         for row, envelope in zip(sound, envelopes, strict=True):
-            turned = (envelope.astype(np.complex64, copy=False) * turns).view(np.float32)
-            windows = sliding_window_view(turned, 4 * self.reach)[::2]
-            for at in range(0, count, _ROWS):
-                some = windows[at : at + _ROWS]
-                if np.any(turned[2 * at : 2 * (at + len(some)) + 4 * self.reach - 2]):
-                    np.matmul(np.ascontiguousarray(some), taps, out=out[at : at + _ROWS])
+            turned = np.pad((envelope.astype(np.complex64, copy=False) * turned_by).view(np.float32), (0, beyond))
+            windows = sliding_window_view(turned, len(taps))[::step]
+            for at in range(0, rows, some_rows):
+                some = windows[at : at + some_rows]
+                if np.any(turned[step * at : step * (at + len(some) - 1) + len(taps)]):
+                    np.matmul(np.ascontiguousarray(some), taps, out=out[at : at + some_rows])
                 else:  # silence stays exact silence
-                    out[at : at + _ROWS] = 0.0
+                    out[at : at + some_rows] = 0.0
             row += out.reshape(-1)[skipped : skipped + len(row)]

@@ -186,7 +186,7 @@ def design_bandlimited(
 
 @lru_cache(maxsize=512)
 def design_tilted(
-    error_db: float, cutoff: float, mu_max: float, nu_max: float, importance: float = 1.0
+    error_db: float, cutoff: float, mu_max: float, nu_max: float, importance: tuple[float, ...] = (1.0,)
 ) -> tuple[Floats, float]:
     """Return a band-limited bank for complex delays ``mu - j nu`` within an error, and the error that it reaches.
 
@@ -196,15 +196,15 @@ def design_tilted(
     """
     delays = _rectangle(mu_max, nu_max)
     delays = delays[: len(delays) // 2]  # the others mirror these
-    allowed = 10 ** (error_db / 20) / importance
-    w = np.linspace(0.0, cutoff, _FREQUENCIES // 4)
+    allowed, w = 10 ** (error_db / 20), np.linspace(0.0, cutoff, _FREQUENCIES // 4)
+    weight = _importance_at(w, cutoff, importance)
     wanted = np.exp(-1j * np.outer(delays, w))
 
     def error(coefficients: NDArray[np.complex128]) -> float:
         """Return the largest error of coefficients (degree + 1, frequencies) of the powers of delays."""
-        return float(np.max(np.abs(polynomial.polyval(delays, coefficients).T - wanted)))
+        return float(np.max(np.abs(polynomial.polyval(delays, coefficients).T - wanted) * weight))
 
-    degree = max(chebyshev_degree(cutoff, mu_max, 2.0 * allowed), 1)
+    degree = max(chebyshev_degree(cutoff, mu_max, 2.0 * allowed, importance), 1)
     while error(_powers_of(degree, mu_max, nu_max, cutoff, w)) > 0.9 * allowed and degree < _LARGEST_DEGREE:
         degree += 1
 
@@ -214,13 +214,15 @@ def design_tilted(
         target = np.zeros((len(grid), degree + 1))
         powers = np.arange(degree + 1)[:, None]
         target[inside] = (_powers_of(degree, mu_max, nu_max, cutoff, grid[inside]) * 1j ** (powers % 2)).real.T
-        taps = _fitted(target, even, odd, np.where(inside, 1.0, _OUT_OF_BAND_WEIGHT)[:, None])
+        weights = np.where(inside, _importance_at(grid, cutoff, importance), _OUT_OF_BAND_WEIGHT * max(importance))
+        taps = _fitted(target, even, odd, weights[:, None])
         response = np.exp(-1j * np.outer(np.arange(-half, half + 1), w))
         reached = error(taps @ response)
-        return (taps, 20 * math.log10(reached * importance)) if reached <= allowed else None
+        return (taps, 20 * math.log10(reached)) if reached <= allowed else None
 
     shortest = max(2, (degree + 1) // 2)
-    found = _first(lambda i: tried(shortest + i), _LARGEST_LENGTH // 2, degree)
+    about = max(degree, int(_length_beyond(error_db, cutoff, importance)))
+    found = _first(lambda i: tried(shortest + i), _LARGEST_LENGTH // 2, about)
     assert found is not None
     found[0].flags.writeable = False
     return found

@@ -20,7 +20,8 @@ SUBBLOCK = 8  # samples, the unit of blocks and of what is silent
 WIDEST_SUBBLOCK = 16  # samples that share the whole part of a delay at most
 LONG_ENVELOPE_BLOCK = 64  # samples, blocks from which on these are summed with few terms of the polynomials
 SLOW_CHANGE = 3.5e-5  # s, of a delay over a vector of the envelope, up to which few terms ask for no shorter blocks
-WIDEST = 0.8  # of half the sampling rate, the widest band that is rendered at it
+WIDEST = 0.94  # of the sampling rate of envelopes, the widest band that is rendered at it
+USUAL = 0.8  # the same where no rate is requested: delay filters and upsampling are short
 CYCLES = 16  # of the carrier in a sample at most: float32 phases are then right to -110 dB
 _LONGEST, _SHORTEST = 50e-3, 0.5e-3  # s, of blocks
 _DRIFT = 24.0  # cycles of the carrier by which a delay may change in a block: float32 terms are right to -110 dB
@@ -39,8 +40,9 @@ class Baseband(NamedTuple):
         Width of the band about the carrier, both sides together, that holds what the receivers hear: the signals and
         their Doppler shifts, Hz.
     sampling_rate : float or None
-        Sampling rate of the envelopes, Hz: that of the signals over a whole number, and at least 1.25 times the
-        bandwidth. Left out: the lowest of these that is a whole number of Hz, and at least a 16th of the carrier.
+        Sampling rate of the envelopes, Hz: that of the signals over a whole number, and at least 1.07 times the
+        bandwidth. Left out: the lowest of these that is a whole number of Hz, and at least 1.25 times the bandwidth and
+        a 16th of the carrier.
 
     Examples
     --------
@@ -66,10 +68,9 @@ def as_baseband(value: object, rate: float) -> Baseband:
             f"must be at most {most:g} Hz, for the band to lie between half the carrier of {carrier:g} Hz and half the "
             f"sampling rate of {rate:g} Hz, but is {bandwidth:g} Hz",
         )
-    least = bandwidth / WIDEST
     if len(value) == 3 and value[2] is not None:
-        return Baseband(carrier, bandwidth, _given_rate(value[2], rate, least))
-    return Baseband(carrier, bandwidth, rate / _decimation(rate, max(least, carrier / CYCLES)))
+        return Baseband(carrier, bandwidth, _given_rate(value[2], rate, bandwidth / WIDEST))
+    return Baseband(carrier, bandwidth, rate / _decimation(rate, max(bandwidth / USUAL, carrier / CYCLES)))
 
 
 def _given_rate(value: object, rate: float, least: float) -> float:

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
-from clsim.numerics.convolution import low_pass_between
+from clsim.numerics.band_filters import magnitudes
+from clsim.numerics.convolution import low_pass_between, turns
 from clsim.paths.channel import ImpulseResponse
 from clsim.render.baseband import WIDEST_SUBBLOCK, Baseband, half_band
 from clsim.render.contributions import digest_of
@@ -21,7 +22,7 @@ from clsim.render.methods.costs import measured_costs
 from clsim.render.opencl.batches import CELL
 from clsim.render.source_filters import Emission, SourceFilters, filtered
 from clsim.render.tilt import WHOLE, Stretches, bank_of, cheapest, stretches_of
-from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
+from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra
 from clsim.scene.signal.signal import Signal
 from clsim.tracks.basis import Basis
 
@@ -88,9 +89,7 @@ class Mixer:
             self.kept.update(zip(blocks[-_KEPT:], of_blocks[-_KEPT:], strict=True))
         made = np.concatenate(of_blocks, axis=1)
         out = made[:, first - blocks[0] * size : last - blocks[0] * size]
-        whole = first * self.turn % 1  # exact, however late
-        cycles = float(whole) + float(self.turn) * np.arange(last - first)
-        return np.asarray(out * np.exp(-2j * math.pi * cycles).astype(out.dtype))
+        return np.asarray(out * np.conj(turns(self.turn, first, last)).astype(out.dtype))
 
     def _made(self, read: Callable[[int, int], Floats], first: int, size: int, gains: NDArray[Any]) -> NDArray[Any]:
         """Return samples of the filtered sound before it is turned, (K, size)."""
@@ -152,8 +151,8 @@ class EnvelopeFilters(SourceFilters):
     def active(self, first: int, last: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
         """Return the non-zero samples of streams with branches from `first` to `last`: offsets (n,), values (K, n)."""
         streams = self.mixer(self.signal.read, first, last, single=True)
-        places = np.flatnonzero(np.any(streams != 0.0, axis=0))
-        return places, streams[:, places]
+        places = np.flatnonzero(np.any(streams, axis=0))
+        return places, streams if len(places) == last - first else streams[:, places]
 
     def emitted(self, first: int, last: int) -> NDArray[Any]:
         return np.asarray(self.plain(self.signal.read, first, last)[0])
@@ -216,13 +215,17 @@ def envelope_filters(
     rate, held = baseband.sampling_rate or 0.0, (baseband.carrier - half, baseband.carrier + half)
     edge = 2.0 * math.pi * max(half / rate, 0.5 * _NARROWEST)
     edge = math.ceil(edge * 64) / 64
+    ends = edge * rate / (2.0 * math.pi) * np.arange(CELLS + 1) / CELLS
+    gain = magnitudes(low_pass[None], 2.0 * math.pi / sampling_rate * ends)[0]
+    passed = np.maximum(gain[1:], gain[:-1])
     mu_max = math.ceil((_ROUNDED + 0.5 * (WIDEST_SUBBLOCK - 1) * max_rate) * 32) / 32
 
     def designed(stretches: Stretches) -> tuple[Basis, tuple[Bank, ...], Stretches]:
         """Return functions of frequency beside a tilt, their banks, and its stretches."""
         basis = emission.basis(held, sampling_rate, envelope=True, tilt=stretches.tilt)
         own = basis.sizes[:: 1 + int(basis.paired)].tolist()
-        banks = (bank_of(size, interpolator.error_db, edge, mu_max, stretches) for size in own)
+        away = emission.sound.importance(ends[-1], basis.loudness, baseband.carrier)
+        banks = (bank_of(size, away * passed, interpolator, edge, mu_max, stretches) for size in own)
         return basis, tuple(banks), stretches
 
     basis, banks, stretches = cheapest(emission, stretches_of(emission, held, rate, edge, tilted), designed)

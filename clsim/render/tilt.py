@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clsim.arrays import Complexes
+from clsim.arrays import Complexes, Floats
 from clsim.numerics.blas import with_blas_threads
 from clsim.numerics.fractional_delay import design_bandlimited, design_tilted
 from clsim.paths.response import SceneResponse
 from clsim.render.baseband import SUBBLOCK
-from clsim.render.interpolator import Bank
+from clsim.render.interpolator import Bandlimited, Bank
 from clsim.render.source_filters import Emission
 from clsim.tracks.basis import NO_TILT, Basis, Tilt
 
@@ -21,12 +21,12 @@ Design = tuple[Basis, tuple[Bank, ...], "Stretches"]
 
 _MOST_TILT = 0.5  # exponent of a tilt at the band's end, between a delay and the middle of its stretch
 _STEPS = 16  # of that exponent, to which it is rounded up, so that designs are found again
-_LEAST_TILT = 1.0  # the same over all delays, below which functions of frequency cost as little
+_LEAST_TILT = 0.25  # the same over all delays, below which functions of frequency cost as little
 _ROUNDING_DB = 2.0, -1.0  # steps of what functions add, so that designs are found again, and the error of a weak one
 _NEAR = 1e-6  # m, by which the air that is passed may differ from delays at the speed of sound
 _FITTED = 33  # frequencies, through whose absorption the tilt goes
 _FLAT = 1e-3  # change of a wall's factor over the band, beyond which paths of equal length differ: without a tilt
-_LEAST_WORK = 5e7  # paths times samples of the envelope, below which designing costs more than is gained
+_LEAST_WORK = 1.5e7  # paths times samples of the envelope, below which designing costs more than is gained
 _FEW = 3  # functions, up to which no others are looked at
 _LEAST_PATHS = 100  # for each stretch beyond the first one, from which on their branch signals pay
 _COMPLEX = 1.15  # cost of a branch where delays are complex, relative to that of real ones
@@ -110,16 +110,22 @@ def stretches_of(
     return Stretches(tilt, per_sample, (emission.start + 1.0 / c) * rate, longest / count, count, most)
 
 
-def bank_of(size: float, error_db: float, edge: float, mu_max: float, stretches: Stretches) -> Bank:
-    """Return the delay filters of a function by the most that it adds, up to an edge, rad, for delays in samples."""
-    step_db, most_db = _ROUNDING_DB
+def bank_of(
+    size: float, importance: Floats, interpolator: Bandlimited, edge: float, mu_max: float, stretches: Stretches
+) -> Bank:
+    """Return the delay filters of a function by the most that it adds, up to an edge, rad, for delays in samples.
+
+    Errors may be larger where the `importance` (cells,) of equal bands from 0 to the edge is less.
+    """
+    (step_db, most_db), error_db = _ROUNDING_DB, interpolator.error_db
     least = 10.0 ** ((error_db - most_db) / 20.0)
-    importance = 10.0 ** (step_db / 20.0 * math.ceil(20.0 * math.log10(min(max(size, least), 1.0)) / step_db))
+    most = 10.0 ** (step_db / 20.0 * math.ceil(20.0 * math.log10(min(max(size, least), 1.0)) / step_db))
+    weights = tuple(most * weight for weight in interpolator.rounded(tuple(np.minimum(importance, 1.0).tolist())))
     if stretches.per_sample:
         with with_blas_threads(1):  # of small matrices
-            taps, reached = design_tilted(error_db, edge, mu_max, stretches.most, importance)
+            taps, reached = design_tilted(error_db, edge, mu_max, stretches.most, weights)
     else:
-        taps, reached = design_bandlimited(error_db, edge, mu_max, (importance,))
+        taps, reached = design_bandlimited(error_db, edge, mu_max, weights)
     return Bank(taps, taps.shape[1] // 2, 0.0, edge, mu_max, SUBBLOCK, reached)
 
 

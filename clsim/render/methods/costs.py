@@ -29,6 +29,7 @@ class Costs:
     rest: float
     nodes: float
     envelope: float
+    branches: float
     upsampled: float
     split: float
     planned: float

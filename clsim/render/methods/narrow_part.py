@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
 from clsim.numerics.blas import with_blas_threads
-from clsim.render.baseband import CYCLES, WIDEST, Baseband, blocks_of
+from clsim.render.baseband import CYCLES, USUAL, WIDEST, Baseband, blocks_of
 from clsim.render.contributions import Stateless, digest_of
 from clsim.render.envelope import LEVEL_TIME, NarrowBand, Split
 from clsim.render.interpolator import Bandlimited
@@ -153,6 +153,7 @@ class _Upsampled:
 _SHARES = (1e-3, 1e-6, 1e-9, 1e-11)  # of the energy to either side of what is passed as it is
 _SKIRTS = (1e3, 2e3, 4e3)  # Hz, over which the band-pass falls
 _MOST_BANDS = 6
+_LENGTHENED = 0.17  # of the cost of upsampling, times the rate over what bands leave of it
 _BINS, _SHARP_BINS = 10.0, 1.0  # added to bands: of short-time spectra what a tone spreads in them, of others the step
 _LEAST_EVERY = 2  # samples of the sound in one of the envelope: up to there the cost decides
 _WINDOWS, _ENDS = 8, 4  # windows of a signal that are looked at for silence of the rest, and more at either end
@@ -193,7 +194,7 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     some = some if len(some.energy) else sound  # a train's pauses
     steady = None if isinstance(signal.waveform, Chirp) else inner  # windows do not tell of others of a sweep
     spectra = [(each, width) for each, width in ((sound, _BINS), (inner, _SHARP_BINS)) if len(each.energy)]
-    motion = emission.max_rate, _width_of_fades(tracks, pairs, error_db)
+    motion = emission.max_rate, _width_of_fades(tracks, pairs, error_db), _work(emission, pairs)
     sets = dict.fromkeys(bands for each in spectra for bands in _band_sets(signal, *each, *motion))
     costs = {bands: of_all + sum(of_band + _envelope_cost(band, rate) for band, *_ in bands) for bands in sets}
     found: list[NarrowOffer] = []
@@ -209,8 +210,9 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
 def _received(emission: Emission, pairs: list[int], split: Split) -> Split | None:
     """Return a split whose envelopes are as wide as the motion of some pairs asks for; None where that is too much."""
     fades, bands = _width_of_fades(emission.tracks, pairs, emission.options.interpolator.error_db), []
+    motion = emission.max_rate, fades, _work(emission, pairs)
     for band in split.bands:
-        baseband = _baseband(emission.signal, band.baseband.carrier, band.flat, band.half, emission.max_rate, fades)
+        baseband = _baseband(emission.signal, band.baseband.carrier, band.flat, band.half, *motion)
         if baseband is None:
             return None
         bands.append(replace(band, baseband=baseband))
@@ -228,12 +230,17 @@ def _suits(emission: Emission, pairs: list[int]) -> bool:
     return bool(options.narrowband) or sum(_costs(emission, pairs)) <= emission.cost_of_whole()
 
 
+def _work(emission: Emission, pairs: list[int]) -> tuple[float, int]:
+    """Numbers of paths, of which a GPU takes many as one, and of pairs."""
+    gpu = measured_costs().gpu if on_gpu(emission.options) else 1.0
+    return _active_paths(emission.tracks, pairs, emission.until) / gpu, len(pairs)
+
+
 def _costs(emission: Emission, pairs: list[int]) -> tuple[float, float]:
     """Processor time of a path in a sample of the sound, ns: of upsampling a band for pairs, and of the split."""
-    known, options, signal = measured_costs(), emission.options, emission.signal
+    known, signal = measured_costs(), emission.signal
     samples = min(signal.duration, emission.until) * signal.sampling_rate
-    path_samples = _active_paths(emission.tracks, pairs, emission.until) * samples
-    path_samples = max(path_samples / (known.gpu if on_gpu(options) else 1.0), 1.0)
+    path_samples = max(_work(emission, pairs)[0] * samples, 1.0)
     per_sample = known.split - (_STREAMS if emission.filters_more else 0.0)
     return samples * known.upsampled * len(pairs) / path_samples, (known.planned + samples * per_sample) / path_samples
 
@@ -247,6 +254,18 @@ def _envelope_cost(band: Baseband, rate: float) -> float:
     """Return the processor time of a path's envelope in a sample of the sound, ns."""
     known = measured_costs()
     return known.nodes + known.envelope * (band.sampling_rate or rate) / rate
+
+
+def _cost_at(band: Baseband, half: float, rate: float, paths: float, pairs: int) -> float:
+    """Return the processor time of envelopes by what depends on their rate, ns in a second.
+
+    Filters are the longer the nearer the ends are to half the rate: for delays those at `half` Hz, for upsampling to a
+    `rate`, Hz, those of what is received.
+    """
+    known, own = measured_costs(), band.sampling_rate or rate
+    edge, width = 2.0 * half / own, band.bandwidth / own
+    summed = own * (paths * known.envelope + known.branches * edge / (1.0 - edge))
+    return summed + rate * pairs * known.upsampled * _LENGTHENED / (1.0 - width)
 
 
 def can(emission: Emission, pairs: list[int], split: Split) -> str | None:
@@ -277,13 +296,16 @@ def _width_of_fades(tracks: Tracks, mine: list[int], error_db: float) -> float:
 
 
 def _band_sets(
-    signal: Signal, sound: ShortTimeSpectra, bins: float, max_rate: float, fades: float
+    signal: Signal, sound: ShortTimeSpectra, bins: float, max_rate: float, fades: float, work: tuple[float, int]
 ) -> Iterator[tuple[tuple[Baseband, float, float], ...]]:
-    """Yield bands that may hold most of a sound, each with the ends of what is passed as it is, and at all, Hz."""
+    """Yield bands that may hold most of a sound, each with the ends of what is passed as it is, and at all, Hz.
+
+    work: numbers of paths and of pairs.
+    """
     spread, spectrum = bins * float(sound.frequencies[1]), (sound.frequencies, sound.weights @ sound.energy)
     for share, skirt in itertools.product(_SHARES, _SKIRTS):
         for ranges in ([shares(spectrum, share)], _ranges(spectrum, share, 2.0 * (spread + skirt))):
-            bands = [_band(signal, *ends, spread, skirt, max_rate, fades) for ends in ranges]
+            bands = [_band(signal, *ends, spread, skirt, max_rate, fades, work) for ends in ranges]
             found = tuple(band for band in bands if band is not None)
             if 0 < len(found) == len(ranges):
                 yield found
@@ -301,30 +323,36 @@ def _ranges(spectrum: tuple[Floats, Floats], share: float, apart: float) -> list
 
 
 def _band(
-    signal: Signal, low: float, high: float, spread: float, skirt: float, max_rate: float, fades: float
-) -> tuple[Baseband, float, float] | None:
+    signal: Signal, low: float, high: float, spread: float, skirt: float, max_rate: float, fades: float,
+    work: tuple[float, int],
+) -> tuple[Baseband, float, float] | None:  # fmt: skip
     """Return a band for what is emitted in a range, with the ends of what is passed as it is, and at all, or None."""
     carrier = float(round(0.5 * (low + high)))
     if abs(signal.centre_frequency - carrier) < spread:
         carrier = signal.centre_frequency
     flat = 0.5 * (high - low) + spread
     half = flat + skirt
-    baseband = _baseband(signal, carrier, flat, half, max_rate, fades)
+    baseband = _baseband(signal, carrier, flat, half, max_rate, fades, work)
     return None if baseband is None else (baseband, flat, half)
 
 
 def _baseband(
-    signal: Signal, carrier: float, flat: float, half: float, max_rate: float, fades: float
+    signal: Signal, carrier: float, flat: float, half: float, max_rate: float, fades: float, work: tuple[float, int]
 ) -> Baseband | None:
-    """Return the envelope of what is emitted about a carrier; None where that is too wide."""
+    """Return the envelope of what is emitted about a carrier; None where that is too wide.
+
+    Its rate is the cheaper one for so many paths and pairs (`work`): low, or so high that filters are short.
+    """
     rate = signal.sampling_rate
     # All that is emitted is received within the width, and at the rate what transitions spread.
     width, emitted = (2.0 * (x * (1.0 + max_rate) + carrier * max_rate) for x in (half, flat))
-    width = max(width, WIDEST * (emitted + 2.0 * fades))
-    every = math.floor(rate / max(width / WIDEST, carrier / CYCLES))
-    if every < _LEAST_EVERY or width > min(carrier, rate - 2.0 * carrier):
-        return None
-    return Baseband(carrier, width, rate / every)
+    found = []
+    for widest in (WIDEST, USUAL):
+        held = max(width, widest * (emitted + 2.0 * fades))
+        every = math.floor(rate / max(held / widest, carrier / CYCLES))
+        if every >= _LEAST_EVERY and held <= min(carrier, rate - 2.0 * carrier):
+            found.append(Baseband(carrier, held, rate / every))
+    return min(found, key=lambda band: _cost_at(band, half, rate, *work), default=None)
 
 
 def _some(signal: Signal) -> tuple[ShortTimeSpectra, ShortTimeSpectra]:

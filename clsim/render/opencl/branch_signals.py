@@ -260,6 +260,8 @@ class BranchSignals:
         import pyopencl as cl
 
         rows, samples = feed.values.shape[0] * feed.values.shape[1], feed.before + feed.width + feed.after
+        if len(feed.places) == samples:  # no silence
+            return self._upload(np.ascontiguousarray(feed.values)), samples
         out = self._scratch.take("emitted", 4 * rows * samples)
 
         def emit(count: int, places: Any, values: Any, clear: bool) -> None:

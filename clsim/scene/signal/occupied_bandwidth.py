@@ -65,17 +65,19 @@ class ShortTimeSpectra:
         last = len(self.frequencies) - 1
         return float(self.frequencies[min(low, last)]), float(self.frequencies[max(high, 0)])
 
-    def importance(self, high: float, loudness: Floats) -> Floats:
-        """Return the weights (CELLS,) of errors in equal cells from 0 Hz to `high` Hz."""
+    def importance(self, high: float, loudness: Floats, about: float = 0.0) -> Floats:
+        """Return the weights (CELLS,) of errors in equal cells from 0 Hz to `high` Hz, away from a frequency, Hz."""
         # Where errors times weights stay below a bound, their root mean square over the spectrum of any window,
         # relative to its audible energy, is at most 3 dB above it: 1 for the strongest components, small for skirts of
         # onsets. `loudness` (W,) is the inverse of the audible energy of each window.
-        cell = (self.frequencies * (CELLS / high)).astype(np.int64)
+        cell = (np.abs(self.frequencies - about) * (CELLS / high)).astype(np.int64)
         bins = np.flatnonzero(cell < CELLS)
         energy = self._gathered(bins, cell[bins], np.ones(len(bins)), CELLS)
         weight = np.sqrt((np.minimum(CELLS * energy, 1.0) * loudness[:, None]).max(axis=0, initial=0.0))
-        # Filters bend between cells.
-        return np.asarray(np.max([np.roll(np.pad(weight, 1), k)[1:-1] for k in (-1, 0, 1)], axis=0))
+        # Filters bend between cells, and a bin stands for all frequencies that are nearest to it.
+        reach = max(1, math.ceil(float(self.frequencies[1]) * CELLS / high))
+        padded = np.pad(weight, reach)
+        return np.asarray(np.max([np.roll(padded, k)[reach:-reach] for k in range(-reach, reach + 1)], axis=0))
 
     def swiftness(self) -> float:
         """Return the largest root mean square frequency of any window, Hz: errors of delays weigh by it."""
