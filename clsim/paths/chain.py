@@ -126,6 +126,32 @@ def program_of(kind: str, air: Air) -> str | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FadeColumns:
+    """Fades of P paths, each column (P, 2) as they begin and as they end.
+
+    Each runs with the mean of the times at which the source sends, what moves on the way is met, and the receiver
+    receives, each by its speed there. So fades depend on where all of these are, and are the same both ways.
+    """
+
+    share: Complexes  # (P, 2) of the response that fades
+    span: Floats  # (P, 2) s
+    moment: Floats  # (P, 2) mean time at which paths begin and end, s
+    sent: Floats  # (P, 2) weights of the times of emission, 0 to 1
+    met: Floats  # (P, 2) and of those at which what moves is met
+
+    @staticmethod
+    def none(count: int) -> FadeColumns:
+        """Make columns of paths that do not fade."""
+        shape = count, 2
+        zeros = (np.zeros(shape) for _ in range(3))
+        return FadeColumns(np.zeros(shape, dtype=np.complex128), np.ones(shape), *zeros)
+
+    def __getitem__(self, rows: Rows) -> FadeColumns:
+        """Return those of some paths."""
+        return FadeColumns(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Fades(ByRow):
     """Shares of P paths that fade: those missing as paths begin and as they end, for want of paths that take over."""
 
@@ -134,21 +160,24 @@ class Fades(ByRow):
     row: Integers  # (P,) of that family
 
     @property
-    def share(self) -> Complexes:
-        """Shares (P, 2) of the response, complex."""
-        return np.asarray(self.found.made[0][self.family][self.row])
+    def columns(self) -> FadeColumns:
+        """Shares and times."""
+        some: FadeColumns = self.found.made[self.family][self.row]
+        return some
 
     @property
-    def span(self) -> Floats:
-        """Times (P, 2) from a beginning on, or to an end, in which paths fade, s."""
-        return np.asarray(self.found.made[1][self.family][self.row])
+    def share(self) -> Complexes:
+        """Shares (P, 2) of the response, complex."""
+        return self.columns.share
 
-    def gain(self, start: Floats, end: Floats, times: Floats) -> Complexes:
-        """Compute factors (P, T) of paths that begin and end at times (P,), at times (T,) or (P, 1), s."""
-        gain, share, span = np.ones((len(start), 1), dtype=np.complex128), self.share, self.span
-        for side, since in enumerate((times - start[:, None], end[:, None] - times)) if share.any() else ():
-            x = np.clip(since / span[:, [side]], 0.0, 1.0)
-            gain = gain - share[:, [side]] * (1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2))
+    def gain(self, found: Arrivals, times: Floats) -> Complexes:
+        """Compute factors (P, T) of paths that are found at times (T,) or (P, 1) of reception, s."""
+        of, gain = self.columns, np.ones((len(self), 1), dtype=np.complex128)
+        onwards = found.more.get("onwards", 0.0)
+        for side, sign in enumerate((1.0, -1.0)) if of.share.any() else ():
+            share, span, moment, sent, met = (getattr(of, field.name)[:, [side]] for field in fields(of))
+            x = np.clip(sign * (times - sent * found.delay - met * onwards - moment) / span, 0.0, 1.0)
+            gain = gain - share * (1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2))
         return gain
 
     @property
@@ -193,7 +222,8 @@ class Chain(PathFamily):
         if self.level is not None:
             yield "level", self.level
         if self.fades is not None and self.fades.share.any():
-            yield from (("fade_share", self.fades.share), ("fade_span", self.fades.span))
+            of = self.fades.columns
+            yield from ((f"fade_{field.name}", getattr(of, field.name)) for field in fields(of))
 
     @property
     def is_specular(self) -> bool:
@@ -282,7 +312,7 @@ class Chain(PathFamily):
                 at.apply_angular_walls(response, walls, direction)
         at.apply_directivities(response, links.ends, found, times)
         if self.fades is not None:
-            response = response * self.fades.part(rows).gain(self.start[rows], self.end[rows], times)[..., None]
+            response = response * self.fades.part(rows).gain(found, times)[..., None]
         return response if self.level is None else response * self.level[rows][:, None, None]
 
     @property
@@ -360,10 +390,11 @@ class Chain(PathFamily):
     def fading(self, rows: Rows) -> Iterator[tuple[str, Any]]:
         """Yield names and columns of the fades of some paths over one edge, as `edge_view` of kernels/nodes/path.h."""
         if self.fades is not None:
-            share, span = (x[rows] for x in (self.fades.share, self.fades.span))
-            yield "active", np.nan_to_num(np.stack([self.start[rows], self.end[rows]], axis=1))
-            yield "span", np.where(share.any(axis=1, keepdims=True), span, 0.0)
-            yield "share", np.stack([share.real, share.imag], axis=1)
+            of = self.fades.columns[rows]
+            yield "moment", of.moment
+            yield "slip", of.sent / self.scene.air.speed_of_sound
+            yield "span", np.where(of.share.any(axis=1, keepdims=True), of.span, 0.0)
+            yield "share", np.stack([of.share.real, of.share.imag], axis=1)
 
     def links(self, rows: Rows) -> Links:
         """Take the legs and vertices of some paths."""
