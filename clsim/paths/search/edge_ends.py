@@ -7,19 +7,20 @@ receiver. A path is active while both are, later by what sound takes from the en
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import adjacent_reflections
-from clsim.arrays import Floats, Rows, spread
+from clsim.arrays import Floats, Rows, spread, unique_rows
 from clsim.paths.chain import Chain
 from clsim.paths.propagation import UniformAir
 from clsim.paths.search.edge_gaps import PARTS, apart, between_edges, in_air, legs_open
-from clsim.paths.search.edges import EdgePaths, EdgeReach, Others, Requested, Sides
+from clsim.paths.search.edges import EdgePaths, EdgeReach, Others, Requested, Sides, rows_of
 from clsim.paths.search.mesh import Progress
 from clsim.paths.vertices.edge_end import EdgeEndVertex
 from clsim.paths.vertices.edge_events import MEETING, OF_LAST, TWO_ENDS, at_meeting, end_numbers
@@ -39,15 +40,18 @@ _BATCH = 20_000  # candidates searched at a time
 _LISTENED = 2_000  # candidates whose levels are estimated together
 QUIET = 1e-3  # pressure over the direct sound: paths that stay below it are left out
 QUIET_ECHO = 2e-4  # without direct sound: over that in free air as far away
-_SAMPLED = np.linspace(0.0, 1.0, 9)  # of an interval, where it is looked how loud a path is
+_SAMPLED = 9  # instants of an interval, at which it is looked how loud a path is
+_STEP, _MOST = 0.03, 129  # m that the ends go from instant to instant where the least level is near, and most of these
+_NEVER = 1e-2  # of the least level, below which paths are not looked at more closely
 _AT_ONCE = UniformAir(1e15)  # without delays
 _SAME = 9  # decimals of places that are the same, m
 
 
 def end_edge_paths(search: EdgePaths, others: Others, progress: Progress | None = None) -> Chain:
     """Find every path over an edge and a free end of another one."""
-    find = partial(end_candidates, wave=lowest_wave(search.scene), direct=search.search.direct is not False)
-    rows = search.rows(find, others, progress, fewest=2 if search.edges.free.any() else sys.maxsize)
+    given: Any = {"wave": lowest_wave(search.scene), "direct": search.search.direct is not False}
+    fewest, audible = 2 if search.edges.free.any() else sys.maxsize, partial(_audible_rows, **given)
+    rows = search.rows(partial(end_candidates, **given), others, progress, fewest, audible)
     return search.chain(rows, EdgeEndVertex(**search.gap_columns(rows)))
 
 
@@ -314,13 +318,75 @@ def _joined(
 
 
 def _audible_ones(finder: EdgeSearch, found: EdgeCandidates, wave: float, direct: bool) -> EdgeCandidates:
-    """Return candidates without those that are quiet at some times of theirs."""
+    """Return candidates that are not quiet at all times."""
+    assert found.spans is not None
+    kept, (_, begin, end) = _audible(finder, found, wave, direct), found.spans
+    return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
+
+
+def _audible(finder: EdgeSearch, found: EdgeCandidates, wave: float, direct: bool) -> Rows:
+    """Find which candidates are not quiet at all times, see `loud`."""
     assert found.spans is not None
     every, begin, end = found.spans
-    times, which = begin + _SAMPLED[:, None] * (end - begin), np.tile(every, len(_SAMPLED))
-    levels = end_levels(finder.visibility(found), which, times.ravel(), wave, direct)
-    kept = np.flatnonzero(levels.reshape(times.shape).max(axis=0) > least_level(direct))
-    return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
+    seen, scales = finder.visibility(found), finder.query.trajectory_tables.scales
+
+    def levels(some: Rows, times: Floats) -> Floats:
+        which = np.repeat(every[some], times.shape[1])
+        return end_levels(seen, which, times.ravel(), wave, direct).reshape(times.shape)
+
+    speed = scales[0, 2] + scales[1 + found.receiver, 2]
+    keys = np.column_stack([found.receiver, found.edge, found.face, found.before, found.after, found.between])
+    return loud(levels, (begin, end), speed, least_level(direct), (found.end, keys))
+
+
+def _audible_rows(
+    reach: EdgeReach, wanted: EdgeCandidates, adjacent: Any, notify: Any, wave: float, direct: bool
+) -> list[dict[str, Any]]:
+    """Return paths that candidates give, but those that are quiet while they are there."""
+    found, query, order = list(rows_of(reach, wanted, adjacent, notify)), reach.finder.query, reach.order
+    if not found:
+        return found
+    columns = {name: [row[name] for row in found] for name in found[0]}
+    walls = np.full((3, len(found), order), -1, dtype=np.int32)
+    for sequences, name in zip(walls, ("before", "after", "between"), strict=True):
+        for row, sequence in zip(sequences, columns[name], strict=True):
+            row[: len(sequence)] = sequence
+    receiver = np.array(columns["receiver"])
+    begin, end = np.maximum(columns["start"], 0.0), np.minimum(columns["end"], query.last[receiver])
+    sides, ends = (np.array(columns[name]) for name in ("edges", "faces")), np.array(columns["end_of"])
+    some = EdgeCandidates(walls[0], walls[1], *sides, ends, receiver, walls[2][:, : wanted.between.shape[1]])
+    some = replace(some, spans=(np.arange(len(found)), begin, end))
+    return [found[row] for row in _audible(reach.finder, some, wave, direct)]
+
+
+def loud(
+    levels: Callable[[Rows, Floats], Floats], span: tuple[Floats, Floats], speed: Floats, least: float,
+    paths: tuple[Rows, NDArray[Any]],
+) -> Rows:  # fmt: skip
+    """Find which stretches (n,) of time, s, are of paths that are above a least level in some of their stretches.
+
+    levels: estimates (k, T) of some stretches (k,) at times (k, T), s.
+    speed: of both ends together (n,), m/s.
+    paths: number of the end (n,) and what else (n, k) a path meets. Paths over both of two ends are two halves, of
+    which both are there or neither.
+    """
+    (begin, end), (number, met) = span, paths
+    every, count, most = np.arange(len(begin)), np.full(len(begin), _SAMPLED), np.zeros(len(begin))
+    for step in (0.0, _STEP):
+        if step:
+            every = every[(most > _NEVER * least) & (most <= least)]
+            count = np.clip((speed * (end - begin))[every] / step, 2 * _SAMPLED, _MOST)
+            count = 2 ** np.ceil(np.log2(count)).astype(np.int64) + 1
+        for instants in np.unique(count).tolist():
+            some = every[count == instants]
+            times = begin[some, None] + np.linspace(0.0, 1.0, instants) * (end - begin)[some, None]
+            most[some] = np.maximum(most[some], levels(some, times).max(axis=1))
+    first, last = end_numbers(number)
+    half = np.where(number >= TWO_ENDS, -1 - 2 * first - last, number)
+    path = unique_rows(np.column_stack([half, met]))[2]
+    louder = np.zeros(len(path))
+    np.maximum.at(louder, path, most)
+    return np.flatnonzero(louder[path] > least)
 
 
 def _received(finder: EdgeSearch, found: EdgeCandidates, times: Floats) -> Floats:
