@@ -163,26 +163,28 @@ class _PairEvents:
 def _each(chain: Chain, rows: Rows, times: Floats, at: SceneResponse) -> tuple[Complexes, Floats]:
     """Responses (n, F) of paths of a pair, each at a time of its own, s, and delays from source and edge (2, n), s.
 
-    Frequencies are those that arrive at edges, whoever moves: so shares are the same both ways.
+    Frequencies are those that arrive at edges at rest, whoever else moves: so shares are the same both ways.
     """
     air = chain.scene.air
     if isinstance(chain.vertex, EdgeVertex) and not (chain.legs[0].moving or air.layers or air.fluctuation):
         found = chain.arrivals(rows, times[:, None])
-        response: Any = chain.response(rows, _unshifted(found), times[:, None], at)
+        response: Any = chain.response(rows, _unshifted(chain, found), times[:, None], at)
         return response[:, 0], np.stack([found.delay[:, 0], np.zeros(len(rows))])
     value, delays = np.empty((len(rows), len(at.frequencies)), dtype=np.complex128), np.zeros((2, len(rows)))
     for first in range(0, len(rows), _ONE_BY_ONE):
         some = slice(first, first + _ONE_BY_ONE)
         here, now = rows[some], times[some]
         found = chain.arrivals(here, now)
-        value[some] = np.einsum("iif->if", chain.response(here, _unshifted(found), now, at))
+        value[some] = np.einsum("iif->if", chain.response(here, _unshifted(chain, found), now, at))
         onwards = found.more.get("onwards", np.zeros_like(found.delay))
         delays[:, some] = np.diagonal(found.delay), np.diagonal(onwards)
     return value, delays
 
 
-def _unshifted(found: Arrivals) -> Arrivals:
-    """Arrivals without Doppler shifts."""
+def _unshifted(chain: Chain, found: Arrivals) -> Arrivals:
+    """Arrivals without Doppler shifts; as they are where bodies move."""
+    if any(body.peak_speed > 0.0 for body in chain.scene.bodies):
+        return found
     one = np.ones_like(found.delay)
     more = found.more | ({"doppler": one} if "doppler" in found.more else {})
     return replace(found, frequency_ratio=one, mach_factor=one, more=more)
