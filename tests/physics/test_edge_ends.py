@@ -145,11 +145,11 @@ def walks() -> dict[str, tuple[clsim.MeshRoom, Any, Any, float]]:
     }  # fmt: skip
 
 
-def around_events(paths: PathSet) -> np.ndarray:
-    """Return times just before and after all beginnings and ends of paths, in pairs."""
+def around_events(paths: PathSet, apart: float = 2e-6) -> np.ndarray:
+    """Return times just before and after all beginnings and ends of paths, in pairs; one pair for all within `apart`."""
     times = np.unique(np.concatenate([x for f in paths.families for x in (f.start, f.end)]))
     times = times[np.isfinite(times)]
-    first = np.flatnonzero(np.append(True, np.diff(times) > 2e-6))  # events of different tests at one place
+    first = np.flatnonzero(np.append(True, np.diff(times) > apart))  # events of different tests at one place
     begin, end = times[first], times[np.append(first[1:], len(times)) - 1]
     return np.stack([begin - 1e-7, end + 1e-7], axis=1).ravel()
 
