@@ -13,7 +13,7 @@ from made_responses import POROUS, OffCentre
 from mutants import KeptEngines, Mutants
 
 import clsim
-from clsim.paths.chain import FadeColumns, Fades
+from clsim.paths.fades import FadeColumns, Fades
 from clsim.paths.path_set import PathSet
 from clsim.render.opencl import path_columns
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, Layout, OpenclEngine

@@ -16,8 +16,9 @@ from clsim.paths.family import PathFamily
 from clsim.paths.legs.mirrors import dot
 from clsim.paths.search.bodies import BodySearch, PairQuery
 from clsim.paths.search.body_edge_pairs import GapEvaluation, GapFinder, Route, Span, moving_pairs, on_edges
-from clsim.paths.search.edge_ends import least_level, loud, lowest_wave, over_faces
+from clsim.paths.search.edge_ends import over_faces
 from clsim.paths.search.edge_gaps import in_air
+from clsim.paths.search.edge_levels import least_level, loud, lowest_wave
 from clsim.paths.search.mesh import visibility_query
 from clsim.paths.vertices import edge_events
 from clsim.paths.vertices.edge_end import EdgeEndVertex

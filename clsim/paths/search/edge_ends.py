@@ -7,7 +7,7 @@ receiver. A path is active while both are, later by what sound takes from the en
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.diffraction import adjacent_reflections
-from clsim.arrays import Floats, Rows, spread, unique_rows
+from clsim.arrays import Floats, Rows, spread
 from clsim.paths.chain import Chain
 from clsim.paths.propagation import UniformAir
 from clsim.paths.search.edge_gaps import PARTS, apart, between_edges, in_air, legs_open
+from clsim.paths.search.edge_levels import least_level, loud, lowest_wave
 from clsim.paths.search.edges import EdgePaths, EdgeReach, Others, Requested, Sides, rows_of
 from clsim.paths.search.mesh import Progress
 from clsim.paths.vertices.edge_end import EdgeEndVertex
@@ -32,17 +33,11 @@ from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, EdgeCandidate
 from clsim.paths.visibility.intervals import PERTURBATIONS, TrajectoryTables, with_points
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
-from clsim.scene.scene import Scene
 
 _NEAR = 1e-7  # of the room's size, up to which an end is on another edge
 _BESIDE = 0.1  # of the room's size, from an end to the place that stands for what is beyond it
 _BATCH = 20_000  # candidates searched at a time
 _LISTENED = 2_000  # candidates whose levels are estimated together
-QUIET = 1e-3  # pressure over the direct sound: paths that stay below it are left out
-QUIET_ECHO = 2e-4  # without direct sound: over that in free air as far away
-_SAMPLED = 9  # instants of an interval, at which it is looked how loud a path is
-_STEP, _MOST = 0.03, 129  # m that the ends go from instant to instant where the least level is near, and most of these
-_NEVER = 1e-2  # of the least level, below which paths are not looked at more closely
 _AT_ONCE = UniformAir(1e15)  # without delays
 _SAME = 9  # decimals of places that are the same, m
 
@@ -53,17 +48,6 @@ def end_edge_paths(search: EdgePaths, others: Others, progress: Progress | None 
     fewest, audible = 2 if search.edges.free.any() else sys.maxsize, partial(_audible_rows, **given)
     rows = search.rows(partial(end_candidates, **given), others, progress, fewest, audible)
     return search.chain(rows, EdgeEndVertex(**search.gap_columns(rows)))
-
-
-def lowest_wave(scene: Scene) -> float:
-    """Least wave number of a centre frequency of the sources, 1/m."""
-    lowest = min((source.emitted.centre_frequency for source in scene.sources), default=0.0)
-    return float(2.0 * np.pi * lowest / scene.air.speed_of_sound)
-
-
-def least_level(direct: bool) -> float:
-    """Pressure over that in free air, see `end_levels`: paths that stay below it are left out."""
-    return QUIET if direct else QUIET_ECHO
 
 
 def end_candidates(reach: EdgeReach, wave: float, direct: bool) -> Requested:
@@ -357,36 +341,6 @@ def _audible_rows(
     some = EdgeCandidates(walls[0], walls[1], *sides, ends, receiver, walls[2][:, : wanted.between.shape[1]])
     some = replace(some, spans=(np.arange(len(found)), begin, end))
     return [found[row] for row in _audible(reach.finder, some, wave, direct)]
-
-
-def loud(
-    levels: Callable[[Rows, Floats], Floats], span: tuple[Floats, Floats], speed: Floats, least: float,
-    paths: tuple[Rows, NDArray[Any]],
-) -> Rows:  # fmt: skip
-    """Find which stretches (n,) of time, s, are of paths that are above a least level in some of their stretches.
-
-    levels: estimates (k, T) of some stretches (k,) at times (k, T), s.
-    speed: of both ends together (n,), m/s.
-    paths: number of the end (n,) and what else (n, k) a path meets. Paths over both of two ends are two halves, of
-    which both are there or neither.
-    """
-    (begin, end), (number, met) = span, paths
-    every, count, most = np.arange(len(begin)), np.full(len(begin), _SAMPLED), np.zeros(len(begin))
-    for step in (0.0, _STEP):
-        if step:
-            every = every[(most > _NEVER * least) & (most <= least)]
-            count = np.clip((speed * (end - begin))[every] / step, 2 * _SAMPLED, _MOST)
-            count = 2 ** np.ceil(np.log2(count)).astype(np.int64) + 1
-        for instants in np.unique(count).tolist():
-            some = every[count == instants]
-            times = begin[some, None] + np.linspace(0.0, 1.0, instants) * (end - begin)[some, None]
-            most[some] = np.maximum(most[some], levels(some, times).max(axis=1))
-    first, last = end_numbers(number)
-    half = np.where(number >= TWO_ENDS, -1 - 2 * first - last, number)
-    path = unique_rows(np.column_stack([half, met]))[2]
-    louder = np.zeros(len(path))
-    np.maximum.at(louder, path, most)
-    return np.flatnonzero(louder[path] > least)
 
 
 def _received(finder: EdgeSearch, found: EdgeCandidates, times: Floats) -> Floats:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats, Rows, read_only, unique_rows
-from clsim.paths.chain import Chain, FadeColumns, Fades
+from clsim.paths.chain import Chain
+from clsim.paths.fades import FadeColumns, Fades
 from clsim.paths.family import PathFamily
 from clsim.paths.response import Arrivals, SceneResponse
 from clsim.paths.search.same_events import SAME_DELAY, Events
