@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from clsim.arrays import ByRow, Complexes, Floats, Integers, Rows
+from clsim.arrays import ByRow, Complexes, Floats, Rows
+from clsim.paths.family import Integers
 from clsim.paths.response import Arrivals
 
 
