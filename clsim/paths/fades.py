@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from clsim.arrays import ByRow, Complexes, Floats, Rows
+from clsim.arrays import ByRow, Complexes, Floats
 from clsim.paths.family import Integers
 from clsim.paths.response import Arrivals
 
@@ -33,7 +33,7 @@ class FadeColumns:
         zeros = (np.zeros(shape) for _ in range(3))
         return FadeColumns(np.zeros(shape, dtype=np.complex128), np.ones(shape), *zeros)
 
-    def __getitem__(self, rows: Rows) -> FadeColumns:
+    def __getitem__(self, rows: Any) -> FadeColumns:
         """Return those of some paths."""
         return FadeColumns(*(getattr(self, field.name)[rows] for field in fields(self)))
 
