@@ -337,8 +337,8 @@ def _audible_rows(
             row[: len(sequence)] = sequence
     receiver = np.array(columns["receiver"])
     begin, end = np.maximum(columns["start"], 0.0), np.minimum(columns["end"], query.last[receiver])
-    sides, ends = (np.array(columns[name]) for name in ("edges", "faces")), np.array(columns["end_of"])
-    some = EdgeCandidates(walls[0], walls[1], *sides, ends, receiver, walls[2][:, : wanted.between.shape[1]])
+    pair, face, ends = (np.array(columns[name]) for name in ("edges", "faces", "end_of"))
+    some = EdgeCandidates(walls[0], walls[1], pair, face, ends, receiver, walls[2][:, : wanted.between.shape[1]])
     some = replace(some, spans=(np.arange(len(found)), begin, end))
     return [found[row] for row in _audible(reach.finder, some, wave, direct)]
 

@@ -109,7 +109,9 @@ class _PairEvents:
         place = np.full(2 * len(which), -1)
         place[key] = np.arange(len(which))
         other = place[key ^ 1]
-        return _PairEvents(events, which, instant, time, over_edges, value, *times, other, at.frequencies, loudest)
+        return _PairEvents(
+            events, which, instant, time, over_edges, value, times[0], times[1], other, at.frequencies, loudest
+        )
 
     def groups(self) -> Iterator[Rows]:
         """Yield the events (k,) at one instant of paths that are as long as each other."""
