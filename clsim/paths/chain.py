@@ -13,8 +13,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from clsim.arrays import ByRow, Complexes, Floats, read_only
+from clsim.arrays import Complexes, Floats, read_only
 from clsim.errors import InputError
+from clsim.paths.fades import Fades
 from clsim.paths.family import (
     DIFFRACTION,
     TRANSMISSION,
@@ -125,41 +126,6 @@ def program_of(kind: str, air: Air) -> str | None:
     return SUPPORT[kind].program if support(kind, air) == DEVICE else None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fades(ByRow):
-    """Shares of P paths that fade: those missing as paths begin and as they end, for want of paths that take over."""
-
-    found: Any  # `Fading` of all paths of the scene: it computes shares where they are first needed
-    family: int  # number of these paths' family there
-    row: Integers  # (P,) of that family
-
-    @property
-    def share(self) -> Complexes:
-        """Shares (P, 2) of the response, complex."""
-        return np.asarray(self.found.made[0][self.family][self.row])
-
-    @property
-    def span(self) -> Floats:
-        """Times (P, 2) from a beginning on, or to an end, in which paths fade, s."""
-        return np.asarray(self.found.made[1][self.family][self.row])
-
-    def gain(self, start: Floats, end: Floats, times: Floats) -> Complexes:
-        """Compute factors (P, T) of paths that begin and end at times (P,), at times (T,) or (P, 1), s."""
-        gain, share, span = np.ones((len(start), 1), dtype=np.complex128), self.share, self.span
-        for side, since in enumerate((times - start[:, None], end[:, None] - times)) if share.any() else ():
-            x = np.clip(since / span[:, [side]], 0.0, 1.0)
-            gain = gain - share[:, [side]] * (1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2))
-        return gain
-
-    @property
-    def largest(self) -> Floats:
-        """Bounds (P,) of the factors' magnitudes."""
-        return np.asarray(np.maximum(np.abs(1.0 - self.share).max(axis=1), 1.0))
-
-    def __len__(self) -> int:
-        return len(self.row)
-
-
 @dataclass(frozen=True, eq=False)
 class Chain(PathFamily):
     """Paths of one kind of leg and of one kind of vertex."""
@@ -193,7 +159,8 @@ class Chain(PathFamily):
         if self.level is not None:
             yield "level", self.level
         if self.fades is not None and self.fades.share.any():
-            yield from (("fade_share", self.fades.share), ("fade_span", self.fades.span))
+            of = self.fades.columns
+            yield from ((f"fade_{field.name}", getattr(of, field.name)) for field in fields(of))
 
     @property
     def is_specular(self) -> bool:
@@ -282,7 +249,7 @@ class Chain(PathFamily):
                 at.apply_angular_walls(response, walls, direction)
         at.apply_directivities(response, links.ends, found, times)
         if self.fades is not None:
-            response = response * self.fades.part(rows).gain(self.start[rows], self.end[rows], times)[..., None]
+            response = response * self.fades.part(rows).gain(found, times)[..., None]
         return response if self.level is None else response * self.level[rows][:, None, None]
 
     @property
@@ -360,10 +327,11 @@ class Chain(PathFamily):
     def fading(self, rows: Rows) -> Iterator[tuple[str, Any]]:
         """Yield names and columns of the fades of some paths over one edge, as `edge_view` of kernels/nodes/path.h."""
         if self.fades is not None:
-            share, span = (x[rows] for x in (self.fades.share, self.fades.span))
-            yield "active", np.nan_to_num(np.stack([self.start[rows], self.end[rows]], axis=1))
-            yield "span", np.where(share.any(axis=1, keepdims=True), span, 0.0)
-            yield "share", np.stack([share.real, share.imag], axis=1)
+            of = self.fades.columns[rows]
+            yield "moment", of.moment
+            yield "slip", of.sent / self.scene.air.speed_of_sound
+            yield "span", np.where(of.share.any(axis=1, keepdims=True), of.span, 0.0)
+            yield "share", np.stack([of.share.real, of.share.imag], axis=1)
 
     def links(self, rows: Rows) -> Links:
         """Take the legs and vertices of some paths."""

@@ -25,7 +25,8 @@ typedef struct {
     double wide[2], narrow[2];                   // sine and cosine of n half turns, and of a quarter turn over n
     double even[2], odd[2];                      // the same of n half turns for every two reflections of a term's partner
     double end;                                  // m along the edge, where `end_side` is not 0
-    double active[2], span[2];                   // reception of the path, and of its fades from and to there, s: 0 without fades
+    double moment[2], span[2];                   // from where and to where it fades, and for how long, s: 0 without fades
+    double slip[2];                              // of fades, by how much the path is longer, s/m
     int lit[4];                                  // of its terms: 1 or -1, 0 for those that are left out
     int end_side;                                // of the end that the path runs over; 0 for one over the edge itself
     int face[2];                                 // tables of the 0-face and the n-face; -1 for the same at every angle

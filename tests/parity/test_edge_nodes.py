@@ -13,7 +13,7 @@ from made_responses import POROUS, OffCentre
 from mutants import KeptEngines, Mutants
 
 import clsim
-from clsim.paths.chain import Fades
+from clsim.paths.fades import FadeColumns, Fades
 from clsim.paths.path_set import PathSet
 from clsim.render.opencl import path_columns
 from clsim.render.opencl.engine import CPU_LAYOUT, GPU_LAYOUT, Layout, OpenclEngine
@@ -55,7 +55,11 @@ def paths() -> PathSet:
     random, bounds = np.random.default_rng(5), np.stack([found.start, found.end], axis=1)
     share = np.exp(1j * random.uniform(-0.7, 0.7, bounds.shape)) * random.uniform(0.0, 1.0, bounds.shape)
     span = np.clip(0.5 * np.diff(bounds), 1e-3, random.uniform(1e-3, 0.02, bounds.shape))
-    fades = Fades(SimpleNamespace(made=([np.where(np.isfinite(bounds), share, 0.0)], [span])), 0, np.arange(len(found)))
+    known, rows = np.nan_to_num(bounds, posinf=0.0, neginf=0.0), np.arange(len(found))
+    sent = random.uniform(0.0, 1.0, bounds.shape)
+    moment = known - sent * np.stack([found.delays(rows, times) for times in known.T], axis=1)
+    made = FadeColumns(np.where(np.isfinite(bounds), share, 0.0), span, moment, sent, 0.0 * sent)
+    fades = Fades(SimpleNamespace(made=[made]), 0, rows)
     return PathSet(scene, (replace(found, fades=fades),))
 
 

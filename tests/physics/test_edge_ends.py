@@ -11,7 +11,7 @@ from exhaustive import few
 
 import clsim
 from clsim.paths.path_set import PathSet
-from clsim.paths.search import edge_ends
+from clsim.paths.search import edge_levels
 from clsim.paths.vertices.edge_events import TWO_ENDS
 
 TONE, C, TALL = 40e3, 343.0, 30.0
@@ -58,7 +58,7 @@ def test_an_end_across_air(
     slope: float, off: float, monkeypatch: pytest.MonkeyPatch, measured: Callable[..., float]
 ) -> None:
     """Behind a screen that ends, from the shadow of a leaning one, as near the end as the shortest path is to it."""
-    monkeypatch.setattr(edge_ends, "QUIET", 0.0)
+    monkeypatch.setattr(edge_levels, "QUIET", 0.0)
     source, ear = np.array([-1.0, -0.6, 0.8]), np.array([1.2, -0.9 - 0.3 * slope, 1.2])
     lean = np.array([0.0, slope, 1.0]) / np.hypot(slope, 1.0)
     start = np.array([0.3, 0.1 - 0.9 * slope, 0.0]) - TALL * lean
@@ -101,7 +101,7 @@ def test_a_corner_at_which_both_edges_end(
     width: float, height: float, worst: float, monkeypatch: pytest.MonkeyPatch, measured: Callable[..., float]
 ) -> None:
     """Past the corner of a sheet, close to its plane, against an integral along both edges from the corner on."""
-    monkeypatch.setattr(edge_ends, "QUIET", 0.0)
+    monkeypatch.setattr(edge_levels, "QUIET", 0.0)
     source, ear = np.array([0.5, -0.8, height]), np.array([-0.4 - width, 0.7, 0.8 * height])
     paths = paths_of(quad((0, 0, 0), (8, 0, 0), (8, 8, 0), (0, 8, 0)), source, ear, 2)
     edges, found = paths.scene.room.edges(), []
@@ -145,11 +145,11 @@ def walks() -> dict[str, tuple[clsim.MeshRoom, Any, Any, float]]:
     }  # fmt: skip
 
 
-def around_events(paths: PathSet) -> np.ndarray:
-    """Return times just before and after all beginnings and ends of paths, in pairs."""
+def around_events(paths: PathSet, apart: float = 2e-6) -> np.ndarray:
+    """Return times just before and after all beginnings and ends of paths, in pairs; one pair for all within `apart`."""
     times = np.unique(np.concatenate([x for f in paths.families for x in (f.start, f.end)]))
     times = times[np.isfinite(times)]
-    first = np.flatnonzero(np.append(True, np.diff(times) > 2e-6))  # events of different tests at one place
+    first = np.flatnonzero(np.append(True, np.diff(times) > apart))  # events of different tests at one place
     begin, end = times[first], times[np.append(first[1:], len(times)) - 1]
     return np.stack([begin - 1e-7, end + 1e-7], axis=1).ravel()
 
@@ -216,7 +216,7 @@ def test_an_end_takes_over_from_two_edges(measured: Callable[..., float]) -> Non
 
 def test_ends_of_both_edges_take_over(monkeypatch: pytest.MonkeyPatch, measured: Callable[..., float]) -> None:
     """Behind a sheet, where the path over an end of one of two opposite edges runs off the other, the sum goes on."""
-    monkeypatch.setattr(edge_ends, "QUIET", 1e-5)
+    monkeypatch.setattr(edge_levels, "QUIET", 1e-5)
     sheet = quad((-0.1, -0.1, 0), (0.1, -0.1, 0), (0.1, 0.1, 0), (-0.1, 0.1, 0))
     way = clsim.Trajectory.line((0.3, -0.02, -0.3), (0.25, 0.4, -0.1), 1.0)
     paths = paths_of(sheet, (-0.3, 0.05, 0.25), way)

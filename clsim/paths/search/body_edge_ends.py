@@ -16,8 +16,9 @@ from clsim.paths.family import PathFamily
 from clsim.paths.legs.mirrors import dot
 from clsim.paths.search.bodies import BodySearch, PairQuery
 from clsim.paths.search.body_edge_pairs import GapEvaluation, GapFinder, Route, Span, moving_pairs, on_edges
-from clsim.paths.search.edge_ends import least_level, lowest_wave, over_faces
+from clsim.paths.search.edge_ends import over_faces
 from clsim.paths.search.edge_gaps import in_air
+from clsim.paths.search.edge_levels import least_level, loud, lowest_wave
 from clsim.paths.search.mesh import visibility_query
 from clsim.paths.vertices import edge_events
 from clsim.paths.vertices.edge_end import EdgeEndVertex
@@ -29,7 +30,6 @@ from clsim.paths.visibility.subdivision import ROUNDS
 _TIMES = 9, 33  # times of a stretch at which levels are estimated, fewest and most
 _EVERY = 4  # of the times at which paths are searched, for which there is one of these
 _SPARE = 0.05  # of the least level, from which on paths are looked for: between these times they may be louder
-_PAUSE = 1e-6  # s up to which a path that is absent, as where an endpoint passes a plane, is one path
 _ON_FACE = 1e-6  # m by which ends may be off the faces that they end at
 
 
@@ -79,28 +79,27 @@ class _EndFinder(GapFinder):
         """Objects that paths may meet within an interval of time, but where these stay below the least level."""
         pairs, pair = GapFinder._chains(self, source, receiver, span), self._pair(source, receiver)
         inner = int(np.sum((pair.times > span[0]) & (pair.times < span[1])))
-        instants = np.linspace(*span, int(np.clip(inner // _EVERY, *_TIMES)))
-        return pairs.part(self._loud(pair, pairs, np.tile(instants, (len(pairs.edge), 1)), _SPARE))
-
-    def _loud(self, pair: PairQuery, pairs: Any, times: Floats, share: float) -> Rows:
-        """Paths over whose levels at some times (P, T), s, the largest is above a share of the least one."""
+        times = np.tile(np.linspace(*span, int(np.clip(inner // _EVERY, *_TIMES))), (len(pairs.edge), 1))
         levels = _EndEvaluation(self._search, self._faces, pair, pairs).levels(times, self._wave, self._direct)
-        return np.flatnonzero(levels.max(axis=1, initial=0.0) > share * least_level(self._direct))
+        return pairs.part(np.flatnonzero(levels.max(axis=1, initial=0.0) > _SPARE * least_level(self._direct)))
 
     def _columns(
         self, ends: tuple[int, int], chains: Any, received: tuple[Floats, Floats], code: Any
     ) -> dict[str, Any]:
         """Columns of paths but those that stay below the least level all the while they are there, as in rooms."""
-        columns = GapFinder._columns(self, ends, chains, received, code)
-        keys = np.column_stack([getattr(chains, f.name) for f in fields(chains)])
-        begins = np.any(keys[1:] != keys[:-1], axis=1) | (received[0][1:] > received[1][:-1] + _PAUSE)
-        first = np.flatnonzero(np.append(True, begins)[: len(keys)])
-        run, pair = np.cumsum(np.append(True, begins)[: len(keys)]) - 1, self._pair(*ends)
-        last = float(self._query(ends[0]).last[ends[1]])
-        start = np.maximum(received[0][first], 0.0)
-        stop = np.minimum(received[1][np.append(first[1:], len(keys))[: len(first)] - 1], last)
-        times = start[:, None] + np.linspace(0.0, 1.0, _TIMES[0]) * (stop - start)[:, None]
-        kept = np.isin(run, self._loud(pair, chains.part(first), times, 1.0))
+        columns, pair, query = GapFinder._columns(self, ends, chains, received, code), self._pair(*ends), self._query
+        span = np.maximum(received[0], 0.0), np.minimum(received[1], float(query(ends[0]).last[ends[1]]))
+
+        def levels(some: Rows, times: Floats) -> Floats:
+            evaluation = _EndEvaluation(self._search, self._faces, pair, chains.part(some))
+            return evaluation.levels(times, self._wave, self._direct)
+
+        tables = query(ends[0]).trajectory_tables
+        moved = tables.scales[0, 2] + tables.scales[1 + ends[1], 2]
+        speed = moved + 2.0 * max((body.peak_speed for body in self.lines.bodies), default=0.0)
+        keys = np.column_stack([getattr(chains, f.name) for f in fields(chains) if f.name != "end"])
+        speeds = np.full(len(code), speed)
+        kept = loud(levels, span, speeds, least_level(self._direct), (chains.end, keys)) if len(code) else code[:0]
         return {name: column[kept] for name, column in columns.items()}
 
 

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,8 @@ from clsim.arrays import Floats, Rows, spread
 from clsim.paths.chain import Chain
 from clsim.paths.propagation import UniformAir
 from clsim.paths.search.edge_gaps import PARTS, apart, between_edges, in_air, legs_open
-from clsim.paths.search.edges import EdgePaths, EdgeReach, Others, Requested, Sides
+from clsim.paths.search.edge_levels import least_level, loud, lowest_wave
+from clsim.paths.search.edges import EdgePaths, EdgeReach, Others, Requested, Sides, rows_of
 from clsim.paths.search.mesh import Progress
 from clsim.paths.vertices.edge_end import EdgeEndVertex
 from clsim.paths.vertices.edge_events import MEETING, OF_LAST, TWO_ENDS, at_meeting, end_numbers
@@ -31,35 +33,21 @@ from clsim.paths.visibility.edges import CONTRACTED, CONTRACTIONS, EdgeCandidate
 from clsim.paths.visibility.intervals import PERTURBATIONS, TrajectoryTables, with_points
 from clsim.scene.room.edges import Edges
 from clsim.scene.room.walls import Walls
-from clsim.scene.scene import Scene
 
 _NEAR = 1e-7  # of the room's size, up to which an end is on another edge
 _BESIDE = 0.1  # of the room's size, from an end to the place that stands for what is beyond it
 _BATCH = 20_000  # candidates searched at a time
 _LISTENED = 2_000  # candidates whose levels are estimated together
-QUIET = 1e-3  # pressure over the direct sound: paths that stay below it are left out
-QUIET_ECHO = 2e-4  # without direct sound: over that in free air as far away
-_SAMPLED = np.linspace(0.0, 1.0, 9)  # of an interval, where it is looked how loud a path is
 _AT_ONCE = UniformAir(1e15)  # without delays
 _SAME = 9  # decimals of places that are the same, m
 
 
 def end_edge_paths(search: EdgePaths, others: Others, progress: Progress | None = None) -> Chain:
     """Find every path over an edge and a free end of another one."""
-    find = partial(end_candidates, wave=lowest_wave(search.scene), direct=search.search.direct is not False)
-    rows = search.rows(find, others, progress, fewest=2 if search.edges.free.any() else sys.maxsize)
+    given: Any = {"wave": lowest_wave(search.scene), "direct": search.search.direct is not False}
+    fewest, audible = 2 if search.edges.free.any() else sys.maxsize, partial(_audible_rows, **given)
+    rows = search.rows(partial(end_candidates, **given), others, progress, fewest, audible)
     return search.chain(rows, EdgeEndVertex(**search.gap_columns(rows)))
-
-
-def lowest_wave(scene: Scene) -> float:
-    """Least wave number of a centre frequency of the sources, 1/m."""
-    lowest = min((source.emitted.centre_frequency for source in scene.sources), default=0.0)
-    return float(2.0 * np.pi * lowest / scene.air.speed_of_sound)
-
-
-def least_level(direct: bool) -> float:
-    """Pressure over that in free air, see `end_levels`: paths that stay below it are left out."""
-    return QUIET if direct else QUIET_ECHO
 
 
 def end_candidates(reach: EdgeReach, wave: float, direct: bool) -> Requested:
@@ -314,13 +302,45 @@ def _joined(
 
 
 def _audible_ones(finder: EdgeSearch, found: EdgeCandidates, wave: float, direct: bool) -> EdgeCandidates:
-    """Return candidates without those that are quiet at some times of theirs."""
+    """Return candidates that are not quiet at all times."""
+    assert found.spans is not None
+    kept, (_, begin, end) = _audible(finder, found, wave, direct), found.spans
+    return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
+
+
+def _audible(finder: EdgeSearch, found: EdgeCandidates, wave: float, direct: bool) -> Rows:
+    """Find which candidates are not quiet at all times, see `loud`."""
     assert found.spans is not None
     every, begin, end = found.spans
-    times, which = begin + _SAMPLED[:, None] * (end - begin), np.tile(every, len(_SAMPLED))
-    levels = end_levels(finder.visibility(found), which, times.ravel(), wave, direct)
-    kept = np.flatnonzero(levels.reshape(times.shape).max(axis=0) > least_level(direct))
-    return replace(_part(found, kept), spans=(np.arange(len(kept)), begin[kept], end[kept]))
+    seen, scales = finder.visibility(found), finder.query.trajectory_tables.scales
+
+    def levels(some: Rows, times: Floats) -> Floats:
+        which = np.repeat(every[some], times.shape[1])
+        return end_levels(seen, which, times.ravel(), wave, direct).reshape(times.shape)
+
+    speed = scales[0, 2] + scales[1 + found.receiver, 2]
+    keys = np.column_stack([found.receiver, found.edge, found.face, found.before, found.after, found.between])
+    return loud(levels, (begin, end), speed, least_level(direct), (found.end, keys))
+
+
+def _audible_rows(
+    reach: EdgeReach, wanted: EdgeCandidates, adjacent: Any, notify: Any, wave: float, direct: bool
+) -> list[dict[str, Any]]:
+    """Return paths that candidates give, but those that are quiet while they are there."""
+    found, query, order = list(rows_of(reach, wanted, adjacent, notify)), reach.finder.query, reach.order
+    if not found:
+        return found
+    columns = {name: [row[name] for row in found] for name in found[0]}
+    walls = np.full((3, len(found), order), -1, dtype=np.int32)
+    for sequences, name in zip(walls, ("before", "after", "between"), strict=True):
+        for row, sequence in zip(sequences, columns[name], strict=True):
+            row[: len(sequence)] = sequence
+    receiver = np.array(columns["receiver"])
+    begin, end = np.maximum(columns["start"], 0.0), np.minimum(columns["end"], query.last[receiver])
+    pair, face, ends = (np.array(columns[name]) for name in ("edges", "faces", "end_of"))
+    some = EdgeCandidates(walls[0], walls[1], pair, face, ends, receiver, walls[2][:, : wanted.between.shape[1]])
+    some = replace(some, spans=(np.arange(len(found)), begin, end))
+    return [found[row] for row in _audible(reach.finder, some, wave, direct)]
 
 
 def _received(finder: EdgeSearch, found: EdgeCandidates, times: Floats) -> Floats:

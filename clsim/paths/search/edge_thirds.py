@@ -14,7 +14,8 @@ from clsim.acoustics.diffraction import EVEN, TERMS, adjacent_reflections, lit_a
 from clsim.arrays import Floats, read_only
 from clsim.paths.chain import Chain
 from clsim.paths.legs.mirrors import EdgeLines
-from clsim.paths.search.edge_ends import least_level, lowest_wave, over_faces
+from clsim.paths.search.edge_ends import over_faces
+from clsim.paths.search.edge_levels import least_level, lowest_wave
 from clsim.paths.search.edges import FARTHEST, SAME_EVENT, AdjacentPaths, EdgePaths, EdgeReach, Others
 from clsim.paths.search.mesh import Progress
 from clsim.paths.vertices.edge import COLUMNS, EdgeVertex

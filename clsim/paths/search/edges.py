@@ -89,7 +89,7 @@ class EdgePaths:
         found: Found = []
         for source in range(len(self.scene.sources) if len(self.edges) >= fewest else 0):
             found += self._rows_of(
-                source, (kind, rows or _rows), AdjacentPaths(others, source), progress or self.search.notify
+                source, (kind, rows or rows_of), AdjacentPaths(others, source), progress or self.search.notify
             )
         walls = "before", "between", "after"
         found.sort(key=lambda r: (r["source"], r["receiver"], sum(len(r[name]) for name in walls), *r["edges"],
@@ -314,7 +314,7 @@ class AdjacentPaths:
         return event if abs(event - time) <= within else time
 
 
-def _rows(
+def rows_of(
     reach: EdgeReach, wanted: EdgeCandidates, adjacent: AdjacentPaths, notify: Callable[[], None]
 ) -> Iterator[dict[str, Any]]:
     """Yield paths that candidates give, with the times of their partners."""

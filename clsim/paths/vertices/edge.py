@@ -202,7 +202,7 @@ class EdgeVertex(ByRow):
         return {
             "length": self._seen_length(events) / events.carried, "mach_factor": stretch**-kinematics.exponent,
             "emitted_at": np.stack(events.source, axis=-1), "receiver_at": np.stack(events.receiver, axis=-1),
-            "doppler": events.doppler, "carried": events.carried,
+            "doppler": events.doppler, "carried": events.carried, "onwards": events.last.delay,
         }  # fmt: skip
 
     def _seen_length(self, events: EdgeEvents) -> Floats:

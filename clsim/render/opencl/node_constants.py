@@ -52,8 +52,8 @@ TWO_SIDES = [
 ]
 EDGE_VIEW = np.dtype(
     [*TWO_SIDES, ("n", "f8"), ("low", "f8", 2), ("wide", "f8", 2), ("narrow", "f8", 2), ("even", "f8", 2),
-     ("odd", "f8", 2), ("end", "f8"), ("active", "f8", 2), ("span", "f8", 2), ("lit", "i4", 4), ("end_side", "i4"),
-     ("face", "i4", 2), ("bounces", "i4", 2), ("corner", "f4"), ("share", "f4", (2, 2))]
+     ("odd", "f8", 2), ("end", "f8"), ("moment", "f8", 2), ("span", "f8", 2), ("slip", "f8", 2), ("lit", "i4", 4),
+     ("end_side", "i4"), ("face", "i4", 2), ("bounces", "i4", 2), ("corner", "f4"), ("share", "f4", (2, 2))]
 )  # fmt: skip
 SCATTERER_VIEW = np.dtype(
     [*TWO_SIDES, ("semi_axes", "f8", 3), ("strength", "f8"), ("thing", "i4"), ("turned", "i4"), ("shape", "i4"),

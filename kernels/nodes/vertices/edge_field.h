@@ -115,12 +115,12 @@ static double edge_field(const environment* env, const vertex_tables* t, __globa
     return length;
 }
 
-// Multiply by the factor of a path that fades at a time of reception, s: twin of `Fades.gain`.
-static void fade(__global const edge_view* edge, double time, response* field)
+// Multiply by the factor of a path of a length, m, that fades at a time of reception, s: twin of `Fades.gain`.
+static void fade(__global const edge_view* edge, double time, double length, response* field)
 {
     float gain[2] = {1.0f, 0.0f};
     for (int side = 0; side < 2; side++) {
-        const double since = (side ? edge->active[1] - time : time - edge->active[0]) / edge->span[side];
+        const double since = (side ? -1.0 : 1.0) * (time - edge->slip[side] * length - edge->moment[side]) / edge->span[side];
         const float x = since < 0.0 ? 0.0f : since < 1.0 ? (float)since : 1.0f;
         const float left = 1.0f - x * x * x * (10.0f - x * (15.0f - 6.0f * x));
         for (int part = 0; part < 2; part++) gain[part] -= edge->share[part][side] * left;
@@ -144,7 +144,7 @@ static arrival arrival_of(const path_nodes* s, int i, double through, const envi
     const double length = edge_field(env, &s->tables, edge, s->slot, from, to, OF_NODE(a->mach_factor, lane), &place, field);
     if (edge->span[0] > 0.0) {
         const double late = OF_NODE(RECEIVER_AT(s, i).clock_error, lane);
-        fade(edge, s->start + (s->ready * GROUP + i - 1) * s->block_time + late, field);
+        fade(edge, s->start + (s->ready * GROUP + i - 1) * s->block_time + late, through, field);
     }
     const arrival here = {(float)through, (float)length, OF_NODE(a->mach_factor, lane),
                           into_room(edge->source_turn, towards_edge(from, place)),
