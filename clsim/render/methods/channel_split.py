@@ -215,11 +215,13 @@ def node_error_db(
 def _left_jumps(tracks: SceneTracks, pair: int, until: float) -> Floats:
     """Return times (k,), s, at which the turning of the ends of a pair jumps, where there are too many to be cut out."""
     scene, member = tracks.scene, tracks.pairs[pair]
-    latest = float(tracks.delay_range(pair, 0.0, until)[1].max())
-    ends = ((scene.sources[member.source], latest), (scene.receivers[member.receiver], 0.0))
-    found = [turn_jumps(end.trajectory) + late for end, late in ends if type(end.directivity) is not Omni]
-    times = np.concatenate([np.empty(0), *(jumps for jumps in found if len(jumps) > MOST_JUMPS)])
-    return times[(times > 0.0) & (times < until)]
+    ends = scene.receivers[member.receiver], scene.sources[member.source]
+    found = [np.empty(0) if type(end.directivity) is Omni else turn_jumps(end.trajectory) for end in ends]
+    here, there = (jumps[: len(jumps) * (len(jumps) > MOST_JUMPS)] for jumps in found)
+    if len(there):
+        there = there + float(tracks.delay_range(pair, 0.0, until)[1].max())
+    times = np.concatenate([here, there])
+    return np.asarray(times[(times > 0.0) & (times < until)])
 
 
 def described_beside(part: PairPart) -> list[str]:
