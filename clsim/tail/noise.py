@@ -210,7 +210,7 @@ class _Band:
         self, spectra: NDArray[np.complex64], level: NDArray[np.float32], rise: NDArray[np.float32],
         total: NDArray[np.complex64],
     ) -> None:  # fmt: skip
-        """Add the spectra (k, F) of the noise's band, shaped by levels (k, T) that rise so much to the next, to a total."""
+        """Add spectra (k, F) in the band, shaped by levels (k, T) that rise so much to the next ones, to a total."""
         from scipy.fft import fft, ifft
 
         own = np.zeros((len(spectra), len(self.fade)), np.complex64)

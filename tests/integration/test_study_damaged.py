@@ -83,7 +83,10 @@ def test_members_that_failed_are_retried_with_corrected_metrics(folder_of_study:
     (folder_of_study / "scene.toml").write_text(SCENE, "utf-8")
     assert main([*arguments, "--retry"]) == 0
     assert "metrics of 1 finished member stay those of judge.py before it changed" in capsys.readouterr().err
-    assert {member: len(processes) for member, processes in runs(folder_of_study).items()} == {(0, 1.0): 1, (0, 1.125): 2}
+    assert {member: len(processes) for member, processes in runs(folder_of_study).items()} == {
+        (0, 1.0): 1,
+        (0, 1.125): 2,
+    }
     assert main([*arguments, "--resume"]) == 0  # it is the present module that counts from now on
     assert "stay those" not in capsys.readouterr().err
 

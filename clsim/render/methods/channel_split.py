@@ -213,7 +213,7 @@ def node_error_db(
 
 
 def _left_jumps(tracks: SceneTracks, pair: int, until: float) -> Floats:
-    """Return times (k,), s, at which the turning of the ends of a pair jumps, where there are too many to be cut out."""
+    """Return times (k,), s, at which the turning of a pair's ends jumps, where there are too many to be cut out."""
     scene, member = tracks.scene, tracks.pairs[pair]
     ends = scene.receivers[member.receiver], scene.sources[member.source]
     found = [np.empty(0) if type(end.directivity) is Omni else turn_jumps(end.trajectory) for end in ends]
