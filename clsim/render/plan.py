@@ -32,7 +32,7 @@ from clsim.tracks.tracks import Tracks
 
 SEGMENT = 18432  # samples; chunks are whole segments, and the block length is chosen for each segment
 BLOCKS = (768, 384, 192, 96, 48, 24, 8)  # samples in a block, divisors of a segment, tried in this order
-LONG_BLOCKS = (3072, 1536, *BLOCKS[:4])  # the same where block polynomials are looked at a few times each
+LONG_BLOCKS = (3072, 1536, *BLOCKS)  # the same where block polynomials are looked at a few times each
 FINE = 96  # samples, shorter blocks than which are rendered in small subblocks by all terms of their cubics
 BATCH = 64  # paths expanded at a time, the unit in which slots are filled up
 _TRANSFORMED = 80.0  # bytes of a sample while what is emitted is filtered: transforms in float64, measured

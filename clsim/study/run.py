@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from clsim.arrays import texts
-from clsim.errors import InputError, in_one_line, of_file, warn
+from clsim.errors import InputError, counted, in_one_line, of_file, warn
 from clsim.files.atomic import locked, naming_full, remove_leftovers, safe_path, sha256_of, uninterrupted
 from clsim.output.raw_files import is_sealed, seal
 from clsim.output.stores import write_zarr
@@ -282,7 +282,7 @@ def run_study(
         metrics_function(study.metrics, study.folder)
     folder.mkdir(parents=True, exist_ok=True)
     with naming_full(folder), locked(folder / ".lock", "--output"):
-        begun = _begin(study, files, folder, new)
+        begun = _begin(study, files, folder, new, retry)
         results = results_of(study, folder)
         index = Index(folder, study.members, results)
         dispatch = Dispatch(index.todo(retry))
@@ -316,8 +316,11 @@ def _refuse_begun(folder: Path) -> None:
             raise InputError("--output", f"must not hold {name} that is of no study, but {folder} does")
 
 
-def _begin(study: Study, files: set[Path], folder: Path, new: bool) -> bool:
-    """Create the folder of a study, or check that it holds this very one; return True if it was created."""
+def _begin(study: Study, files: set[Path], folder: Path, new: bool, retry: bool) -> bool:
+    """Create the folder of a study, or check that it holds this very one; return True if it was created.
+
+    retry: the module of the metrics may have changed, of which members that are run from now on know.
+    """
     if new or not (folder / SETTINGS).exists():
         _refuse_begun(folder)  # another process may have made it meanwhile
     module = study.folder / f"{study.metrics.partition(':')[0]}.py"
@@ -326,21 +329,25 @@ def _begin(study: Study, files: set[Path], folder: Path, new: bool) -> bool:
         "versions": versions(),
         "contents": {str(path): sha256_of(path) for path in named},
     }
-    settings = study_to_settings(study) | {"made_by": made_by}
+    settings = json.loads(json.dumps(study_to_settings(study) | {"made_by": made_by}))
     path = folder / SETTINGS
-    begun = not path.exists()
-    if begun:
-        with safe_path(path) as temporary:
-            temporary.write_text(json.dumps(settings, indent=1), "utf-8")
-    else:
+    begun, changed = not path.exists(), False
+    if not begun:
         advice = "choose another folder"
         try:
             old = json.loads(path.read_bytes())
         except (ValueError, RecursionError) as error:
             raise InputError("--resume", f"must go on with a study, but {path} is broken; {advice}") from error
-        difference = first_difference(old, json.loads(json.dumps(settings)))
+        changed = retry and _takes(old, settings, module)
+        difference = first_difference(old, settings)
         if difference is not None:
             raise InputError("--resume", f"must go on with the same study, but {difference}; {advice}")
+        kept = sum(results_of(study, folder).holds(member.number) for member in study.members) if changed else 0
+        if kept:
+            warn(f"metrics of {counted(kept, 'finished member')} stay those of {module.name} before it changed")
+    if begun or changed:
+        with safe_path(path) as temporary:
+            temporary.write_text(json.dumps(settings, indent=1), "utf-8")
     if study.shards is None:
         create_store(folder)
     for name in () if study.shards is None else (SHARDS, WAITING):
@@ -349,6 +356,17 @@ def _begin(study: Study, files: set[Path], folder: Path, new: bool) -> bool:
     shutil.rmtree(folder / PARTIAL, ignore_errors=True)
     (folder / PARTIAL).mkdir()
     return begun
+
+
+def _takes(old: Any, settings: dict[str, Any], module: Path) -> bool:
+    """Take the present module of the metrics into old settings; return True if it was another one."""
+    try:
+        before, now = (each["made_by"]["contents"] for each in (old, settings))
+        changed = before[str(module)] != now[str(module)]
+        before[str(module)] = now[str(module)]
+    except (KeyError, TypeError, AttributeError):  # none, or no settings of a study, as will be told
+        return False
+    return bool(changed)
 
 
 def _undo(folder: Path) -> None:

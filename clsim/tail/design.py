@@ -228,10 +228,12 @@ class _Decay:
 
     def over(self, count: int) -> tuple[Floats, Floats]:
         """Return the share that air leaves in bins of time (T, B), and that times the share of modes."""
-        if count > len(self._air):
-            times = STEP * (np.arange(-(-count // _AHEAD) * _AHEAD, dtype=np.float64) + 0.5)
-            self._air = np.exp(-np.multiply.outer(self._c * times - 1.0, self._energies.air))
-            self._modal = self._air * modal_shares(self._room, self._energies, self._centres, times, self._c)
+        known = len(self._air)
+        if count > known:
+            times = STEP * (np.arange(known, -(-count // _AHEAD) * _AHEAD, dtype=np.float64) + 0.5)
+            air = np.exp(-np.multiply.outer(self._c * times - 1.0, self._energies.air))
+            modal = air * modal_shares(self._room, self._energies, self._centres, times, self._c)
+            self._air, self._modal = (np.concatenate(both) for both in ((self._air, air), (self._modal, modal)))
         return self._air[:count], self._modal[:count]
 
 
@@ -296,6 +298,7 @@ _HIGHEST = 450.0  # Hz, above which decays by rays are within 3 % of coherent on
 _FEWEST, _MOST = 2.0, 1e6  # modes in a band: fewer tell no decay, more are a continuum
 _DIRECTIONS = 4096
 _RATES = 256  # of decay that are told apart in a band
+_STEPS = 32  # of time between times whose decays are worked out
 _SQUARE = 1e-9  # by which the cosines of a rectangular room's corners may differ from 0 and 1
 
 
@@ -389,9 +392,13 @@ def _decay_rates(cosines: Floats, sizes: Floats, c: float, damping: Damping) -> 
 
 
 def _decay(rates: Floats, weights: Floats, times: Floats) -> Floats:
-    """Sum (T,) of weights (n,) that decay by rates (n,)."""
+    """Sum (T,) of weights (n,) that decay by rates (n,), at evenly spaced times."""
     edges = np.linspace(rates.min(), rates.max() * (1.0 + 1e-12) + 1e-12, _RATES + 1)
     weight, _ = np.histogram(rates, edges, weights=weights)
     rate, _ = np.histogram(rates, edges, weights=weights * rates)
     some = weight > 0.0
-    return np.asarray(np.exp(-np.multiply.outer(times, rate[some] / weight[some])) @ weight[some])
+    mean = rate[some] / weight[some]
+    # Exponentials of sums are products: of times some steps apart, and of few steps.
+    apart, near = times[::_STEPS], times[:_STEPS] - times[0]
+    made = (np.exp(-np.multiply.outer(apart, mean)) * weight[some]) @ np.exp(-np.multiply.outer(near, mean)).T
+    return np.asarray(made.ravel()[: len(times)])

@@ -21,9 +21,7 @@ from clsim.tail.design import SourceTail
 from clsim.tail.zones import TOGETHER, band_shares, joined_bands
 
 _SHAPED = 7  # of seeds: what the numbers are for
-_SLOWNESSES = (1, 2, 4, 8, 16)  # by which sampling rates are divided
-_SLOWEST = _SLOWNESSES[-1]
-_ROOM = 1.25  # half of such a rate over the end of a band, at least: envelopes make bands wider
+_BESIDE = 250.0  # Hz beside a band, over which what its envelope adds fades out
 _EVEN = 512  # steps between frequencies at which channels' gains are taken: impulses of twice as many samples
 _RINGING = 1024  # samples in which the onset of low bands rings, before time 0
 
@@ -147,54 +145,94 @@ def static_gains(scene: Scene, receivers: Sequence[int], tail: SourceTail, time:
 
 def _shaped(energy: NDArray[Any], tail: SourceTail, rate: float, rng: np.random.Generator) -> NDArray[np.float32]:
     """Return noise (K, L) whose energy in bands and bins of time is that of energies (T, K, B)."""
-    # A bin of n samples of variance v has the energy n v at every frequency. Low bands are shaped at lower rates.
-    from scipy.fft import irfft, next_fast_len, rfft
+    # A bin of n samples of variance v has the energy n v at every frequency.
+    from scipy.fft import irfft, next_fast_len
 
     times, streams, _ = energy.shape
     length = math.ceil(times * tail.time_step * rate)
-    size = _SLOWEST * next_fast_len(-(-(length + _RINGING) // _SLOWEST), real=True)
+    size = 2 * next_fast_len(-(-(length + _RINGING) // 2))
+    bins = size // 2 + 1
     centres, parts = joined_bands(tail.centres, energy)
-    shares = band_shares(np.arange(size // 2 + 1) * (rate / size), centres).astype(np.float32)
-    last = np.append(centres[1:], 0.5 * rate)  # bands end at the next centre
-    fits = [np.where(n * _ROOM * last <= 0.5 * rate, n, 1) for n in _SLOWNESSES]
-    slowness = np.max(fits, axis=0)  # powers of two by which the sampling rate is divided
-    groups = [(n, *_envelope_places(length, n, tail.time_step * rate, times)) for n in np.unique(slowness).tolist()]
+    shares = band_shares(np.arange(bins) * (rate / size), centres).astype(np.float32)
+    beside = math.ceil(_BESIDE * size / rate)
+    found = [
+        (b, _Band.of(share, beside, (length, size), tail.time_step * rate, times))
+        for b, share in enumerate(shares) if share.any()
+    ]  # fmt: skip
     taps = np.empty((streams, length), np.float32)
     for first, joined in zip(range(0, streams, TOGETHER), parts, strict=True):
         level = np.sqrt(joined / (tail.time_step * rate)).astype(np.float32)
         level = np.ascontiguousarray(np.moveaxis(level, 0, 2))  # (k, J, T)
         rise = np.diff(level, axis=2, append=level[..., -1:])
-        spectra = rfft(rng.standard_normal((len(level), size), np.float32))
+        spectra = rng.standard_normal((len(level), 2 * bins), np.float32).view(np.complex64)
+        spectra *= np.float32(math.sqrt(0.5 * size))
         total = np.zeros_like(spectra)
-        for slow, before, part in groups:
-            bins = size // slow // 2 + 1
-            made = np.zeros((len(level), size // slow), np.float32)
-            for b in np.flatnonzero(slowness == slow):
-                envelope = rise[:, b].take(before, axis=1, mode="clip")
-                envelope *= part
-                envelope += level[:, b].take(before, axis=1, mode="clip")
-                envelope *= irfft(spectra[:, :bins] * shares[b, :bins], size // slow)[:, : len(part)]
-                made[:, : len(part)] += envelope
-            total[:, :bins] += rfft(made) * _fade(bins, slow)
+        for b, band in found:
+            band.add(spectra, level[:, b], rise[:, b], total)
         taps[first : first + TOGETHER] = irfft(total, size)[:, :length]
     return taps
 
 
-def _fade(bins: int, slow: int) -> NDArray[np.float32]:
-    """Weights (bins,) of a spectrum up to half of a lower rate, 1 where bands are, that fall off towards its end."""
-    # Envelopes that change within a few samples reach up to there. A spectrum that ends abruptly rings for as long as
-    # tails last, and is louder than bands beside it that decay quickly.
-    if slow == 1:
-        return np.ones(bins, np.float32)
-    beyond = np.clip((np.arange(bins) / (bins - 1) * _ROOM - 1.0) / (_ROOM - 1.0), 0.0, 1.0)
-    return np.cos(0.5 * np.pi * beyond).astype(np.float32) ** 2
+@dataclass(frozen=True, slots=True, eq=False)
+class _Band:
+    """A band of noise, shaped at a rate of its own: its spectrum alone is transformed, and moved to its place after."""
 
+    share: NDArray[np.float32]  # (n,) amplitude of its part
+    low: int  # first bin of it
+    beside: int  # bins beside it: envelopes make bands wider
+    fade: NDArray[np.float32]  # (m,) weights of bins, from the first one beside it on
+    before: NDArray[np.int64]  # bins of time before each sample at that rate
+    part: NDArray[np.float32]  # how far samples lie beyond their middles
 
-def _envelope_places(length: int, slow: int, step: float, times: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Return the bins of time before every `slow`-th sample, and how far beyond their middles these lie, (n,) each."""
-    at = np.clip((np.arange(0, length, slow) + 0.5) / step - 0.5, 0.0, times - 1.0)
-    before = np.minimum(at.astype(np.int64), max(times - 2, 0))
-    return before, (at - before).astype(np.float32)
+    @classmethod
+    def of(
+        cls, share: NDArray[np.float32], beside: int, samples: tuple[int, int], step: float, times: int
+    ) -> _Band:  # fmt: skip
+        """Return a band by its share (F,) at all bins; samples of responses and of transforms; a step of time."""
+        from scipy.fft import next_fast_len
+
+        there, (length, size) = np.flatnonzero(share), samples
+        low, high = int(there[0]), int(there[-1]) + 1
+        count = next_fast_len(high - low + 2 * beside)
+        # A spectrum that ends abruptly rings for as long as tails last, and is louder than bands beside it that decay
+        # quickly.
+        away = np.arange(count) - beside
+        away = np.maximum(-away, away - (high - low - 1))
+        fade = np.cos(0.5 * np.pi * np.clip(away / (beside + 1.0), 0.0, 1.0)).astype(np.float32) ** 2
+        own = share[low:high].copy()
+        own[[i for i, end in ((0, low == 0), (-1, high == len(share))) if end]] *= 0.5  # conjugates are the other half
+        at = np.arange(math.ceil(length * count / size)) * (size / count)
+        place = np.clip((at + 0.5) / step - 0.5, 0.0, times - 1.0)
+        before = np.minimum(place.astype(np.int64), max(times - 2, 0))
+        return cls(own, low, beside, fade, before, (place - before).astype(np.float32))
+
+    def add(
+        self, spectra: NDArray[np.complex64], level: NDArray[np.float32], rise: NDArray[np.float32],
+        total: NDArray[np.complex64],
+    ) -> None:  # fmt: skip
+        """Add spectra (k, F) in the band, shaped by levels (k, T) that rise so much to the next ones, to a total."""
+        from scipy.fft import fft, ifft
+
+        own = np.zeros((len(spectra), len(self.fade)), np.complex64)
+        within = slice(self.low, self.low + len(self.share))
+        np.multiply(spectra[:, within], self.share, out=own[:, self.beside : self.beside + len(self.share)])
+        made, count = ifft(own, overwrite_x=True), len(self.before)
+        envelope = rise.take(self.before, axis=1, mode="clip")
+        envelope *= self.part
+        envelope += level.take(self.before, axis=1, mode="clip")
+        made[:, :count] *= envelope
+        made[:, count:] = 0.0
+        shaped = fft(made, overwrite_x=True)
+        shaped *= self.fade
+        first, last = self.low - self.beside, total.shape[1] - 1
+        into = total[:, max(first, 0) : first + len(self.fade)]
+        into += shaped[:, max(-first, 0) :][:, : into.shape[1]]
+        # What lies beyond either end of the spectrum are conjugates of what is before it.
+        if first <= 0:
+            total[:, : 1 - first] += np.conj(shaped[:, -first::-1])
+        if first + len(self.fade) > last:
+            beyond = np.conj(shaped[:, last - first :])
+            total[:, last + 1 - beyond.shape[1] :] += beyond[:, ::-1]
 
 
 def gains_of(scene: Scene, receivers: Sequence[int], tail: SourceTail, time: float) -> Floats:

@@ -73,3 +73,17 @@ def test_a_disk_that_is_full_loses_nothing(number: int, disk: Path, tmp_path: Pa
     now, wanted = content(disk), content(whole)
     assert sorted(now) == sorted(wanted)
     assert kind == "view" or now == wanted
+
+
+@pytest.mark.parametrize("ending", ["npz", "parquet"])
+def test_a_table_of_paths_on_a_full_disk_is_not_there(ending: str, disk: Path, tmp_path: Path, capsys: Any) -> None:
+    installed("pyarrow")
+    scene = tmp_path / "scene.toml"
+    scene.write_text(SCENE % (0.9, RECEIVER % "left"), "utf-8")
+    mount(disk, 4096)
+    (disk / "other").write_bytes(bytes(4096))
+    assert main(["paths", str(scene), "-o", str(disk / f"paths.{ending}")]) == 2
+    (line,) = [one for one in capsys.readouterr().err.splitlines() if not one.startswith("clsim: warning: ")]
+    assert "No space left on device" in line
+    assert str(disk / f"paths.{ending}") in line
+    assert [path.name for path in disk.iterdir()] == ["other"]

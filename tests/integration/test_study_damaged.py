@@ -63,8 +63,6 @@ def assert_only_what_is_asked_for_runs_again(folder_of_study: Path, arguments: l
     assert "content.room.walls.reflection was 0.9 and is 0.8; choose another folder" in error_of(*arguments, "--resume")
     (folder_of_study / "scene.toml").write_text(SCENE, "utf-8")
     (folder_of_study / "judge.py").write_text(METRICS + "\n", "utf-8")
-    assert "judge.py was" in error_of(*arguments, "--retry")
-    (folder_of_study / "judge.py").write_text(METRICS, "utf-8")
     assert main([*arguments, "--retry", "--workers", "1"]) == 1
     counts = {member: len(processes) for member, processes in runs(folder_of_study).items()}
     assert counts == {(0, 1.0): 1, (0, 1.125): 2, (2, 1.0): 1, (2, 1.125): 2}
@@ -72,6 +70,25 @@ def assert_only_what_is_asked_for_runs_again(folder_of_study: Path, arguments: l
     (folder_of_study / "out" / "index.jsonl").write_text('{"member": 1, "status": "fai', "utf-8")
     assert main([*arguments, "--resume", "--workers", "1"]) == 1
     assert {member: len(p) for member, p in runs(folder_of_study).items()} == counts | {(0, 1.125): 3, (2, 1.125): 3}
+
+
+def test_members_that_failed_are_retried_with_corrected_metrics(folder_of_study: Path, capsys, error_of) -> None:
+    """Those that are finished keep theirs, and a line says so; what else has changed is refused as ever."""
+    arguments = [*write(folder_of_study, [0], [1.0, 1.125]), "--workers", "1"]
+    assert main(arguments) == 1
+    (folder_of_study / "judge.py").write_text(METRICS.replace("== 1.125", "== 7.0"), "utf-8")
+    assert "judge.py was" in error_of(*arguments, "--resume")
+    (folder_of_study / "scene.toml").write_text(SCENE.replace("0.9", "0.8"), "utf-8")
+    assert "content.room.walls.reflection was" in error_of(*arguments, "--retry")
+    (folder_of_study / "scene.toml").write_text(SCENE, "utf-8")
+    assert main([*arguments, "--retry"]) == 0
+    assert "metrics of 1 finished member stay those of judge.py before it changed" in capsys.readouterr().err
+    assert {member: len(processes) for member, processes in runs(folder_of_study).items()} == {
+        (0, 1.0): 1,
+        (0, 1.125): 2,
+    }
+    assert main([*arguments, "--resume"]) == 0  # it is the present module that counts from now on
+    assert "stay those" not in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -512,3 +512,27 @@ def test_many_paths_take_several_batches(monkeypatch: pytest.MonkeyPatch) -> Non
     assert apart_db(sound(planned(scene(0.3), order=4)), whole) < -105.0
     monkeypatch.setattr(branch_signals.Limits, "paths_in_launch", 64)
     assert apart_db(sound(planned(scene(0.3), order=4)), whole) < -105.0
+
+
+@pytest.mark.parametrize("kinds", ["steady", "kinks"])
+def test_all_channels_of_a_receiver_that_turns_are_looked_at(kinds: str, measured: Any) -> None:
+    """The first component does not turn; too many kinks of turning to be cut out are looked at, too."""
+    duration = 2.6
+    times = np.linspace(0.0, duration, 68)
+    angles = 30.0 * times if kinds == "steady" else 0.3 * (-1.0) ** np.arange(len(times))
+    half = 0.5 * angles
+    turns = np.stack([0.0 * half, np.sin(half), 0.0 * half, np.cos(half)], axis=1)
+    pose = clsim.Trajectory.waypoints(times, np.tile((4.5, 2.8, 1.2), (len(times), 1)), orientations=turns)
+    made = scene(duration)
+    turning = replace(made, receivers=(clsim.Receiver("hoa", pose, clsim.Ambisonic(3)),))
+    plan = clsim.plan_render(clsim.find_paths(turning, 0), RATE, duration=duration, **CHANNELS)
+    assert bool(plan.allocation.channels) == (kinds == "steady")
+    if kinds == "kinks":
+        assert any("responses change faster" in note for note in plan.allocation.notes)
+        return
+    plain = clsim.plan_render(plan.tracks.of_scene.paths, RATE, duration=duration, **CHANNELS | {"channels": False})
+    got, wanted = (record(each).samples.astype(np.float64) for each in (plan, plain))
+    off = np.linalg.norm(got - wanted, axis=1).max() / np.linalg.norm(wanted, axis=1).max()
+    measured(
+        "sampled channels", "sum over paths, components of a receiver that turns", 20.0 * np.log10(off), PROMISED_DB
+    )

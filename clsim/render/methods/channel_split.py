@@ -177,7 +177,10 @@ def node_error_db(
     tracks: SceneTracks, emission: Emission, filters: SourceFilters, pairs: tuple[int, ...], spacing: int,
     heads: Heads | None = None,
 ) -> float:  # fmt: skip
-    """Measure the error between nodes at the end of the band, relative to responses, dB, by a few active paths."""
+    """Measure the error between nodes at the end of the band, relative to responses, dB, by a few active paths.
+
+    It is that of the channel where it is most, relative to the loudest one.
+    """
     rate = filters.rate
     rng, window = np.random.default_rng(emission.source), node_window(spacing)
     some = pairs[:: -(-len(pairs) // _EVALUATED_AT[0])]
@@ -188,6 +191,8 @@ def node_error_db(
         of_run[:2] = 0, round(emission.until * rate)
         rows = np.unique(np.append(0, rng.integers(0, len(tracks.pairs[pair]), _EVALUATED_AT[1] - 1)))
         places, tapers = of_run, tracks.pairs[pair].tapers
+        if len(shaken := _left_jumps(tracks, pair, emission.until)):
+            places[2::2] = np.rint(rng.choice(shaken, len(places[2::2])) * rate)
         if tapers is not None:
             times = tapers.part(np.resize(rows, count)).some_times(emission.until, rng)
             places = np.rint(times * rate).astype(np.int64)
@@ -197,14 +202,26 @@ def node_error_db(
         times = np.concatenate([whole * spacing, whole[:, NODES - 1, None] * spacing + within[:, None]], axis=1) / rate
         delay, _, gain = tracks.evaluate(pair, times.ravel(), flat_basis(filters.band), rows)
         gain = gain if tapers is None else gain * tapers.part(rows).weights(times.ravel())
-        turned = gain[0, 0] * np.exp(-2j * math.pi * filters.band * delay)
+        turned = gain[:, 0] * np.exp(-2j * math.pi * filters.band * delay)  # (C, P, T)
         if heads is not None:
             turned = turned * heads.responses(tracks.pair_paths[pair].part(rows), tracks, times.ravel(), filters.band)
-        turned = turned.reshape(-1, count, times.shape[1])
-        apart = np.einsum("pin,in->pi", turned[..., :-1], weights) - turned[..., -1]
-        wrong += float(np.max(np.sum(np.abs(apart) ** 2, axis=0)))
-        loud += float(np.mean(np.sum(np.abs(turned[..., -1]) ** 2, axis=0)))
+        turned = turned.reshape(*turned.shape[:2], count, times.shape[1])
+        apart = np.einsum("cpin,in->cpi", turned[..., :-1], weights) - turned[..., -1]
+        wrong += float(np.max(np.sum(np.abs(apart) ** 2, axis=1)))
+        loud += float(np.max(np.mean(np.sum(np.abs(turned[..., -1]) ** 2, axis=1), axis=-1)))
     return 10.0 * math.log10(max(wrong / max(loud, 1e-300), 1e-30))
+
+
+def _left_jumps(tracks: SceneTracks, pair: int, until: float) -> Floats:
+    """Return times (k,), s, at which the turning of a pair's ends jumps, where there are too many to be cut out."""
+    scene, member = tracks.scene, tracks.pairs[pair]
+    ends = scene.receivers[member.receiver], scene.sources[member.source]
+    found = [np.empty(0) if type(end.directivity) is Omni else turn_jumps(end.trajectory) for end in ends]
+    here, there = (jumps[: len(jumps) * (len(jumps) > MOST_JUMPS)] for jumps in found)
+    if len(there):
+        there = there + float(tracks.delay_range(pair, 0.0, until)[1].max())
+    times = np.concatenate([here, there])
+    return np.asarray(times[(times > 0.0) & (times < until)])
 
 
 def described_beside(part: PairPart) -> list[str]:

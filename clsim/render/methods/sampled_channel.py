@@ -89,10 +89,12 @@ def can(tracks: Tracks, options: RenderOptions, pair: int) -> str | None:
     family, scene = of_scene.pair_paths[pair].family, of_scene.paths.scene
     if family.moves or scene.air.fluctuation is not None:
         return "what is in between moves"
+    if family.is_specular:
+        return None
     member = tracks.pairs[pair]
     ends = scene.sources[member.source], scene.receivers[member.receiver]
     sudden = not member.always_audible or any(len(sudden_times(end)) for end in ends)
-    return "paths by edges and scatterers begin, end or jump" if sudden and not family.is_specular else None
+    return "paths by edges and scatterers begin, end or jump" if sudden else None
 
 
 def _allowed_db(options: RenderOptions) -> float:
