@@ -26,7 +26,7 @@ from clsim.tracks.tracks import SceneTracks, Tracks
 _SPARE, _MARGINS = 1.03, (6.0, 12.0, 24.0, 48.0, 96.0)  # of the Doppler shift, and Hz beyond it, tried in this order
 _BEYOND = 1.0  # s beyond delays and blocks, for which motions go on at either end: as long as nodes weigh at most
 _SURE = 0.85  # of the cost of the sum over paths, below which sampling is cheaper: estimates are right within 15 %
-_PLANNED = 1.5e7  # ns, of looking at what changes between nodes, and of what is begun
+_PLANNED = 2e7  # ns, of looking at what changes between nodes, and of what is begun
 _LEAST_SPACING = 16  # samples between nodes, below which the sum over paths is as cheap
 
 
@@ -123,7 +123,6 @@ def _cheaper(
     emission, known, found = splitter.emission, measured_costs(), []
     costs = known.channel_path, known.channel_function, known.channel_point, known.channel_nodes
     rate, of_path = filters.rate, filters.cost() if heads is None else heads.cost_of_path(filters)
-    share = min(emission.signal.duration + longest, emission.until) / emission.until  # in which something is emitted
     for margin in _MARGINS:
         spacing = _spacing(emission, filters, margin)
         if spacing < _LEAST_SPACING:
@@ -139,7 +138,7 @@ def _cheaper(
         seconds, stretches = split.summed(emission.until)
         cost += times * (of_path * seconds * rate + known.stretch * stretches)
         whole = times * splitter.summed(split.pairs)
-        if emission.options.channels or cost + _PLANNED < _SURE * of_path * rate * share * whole:
+        if emission.options.channels or cost + _PLANNED < _SURE * of_path * rate * whole:
             found.append((cost, margin, spacing))
     return [(margin, spacing) for _, margin, spacing in sorted(found)]
 
