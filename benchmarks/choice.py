@@ -61,8 +61,8 @@ CASES = [
     Case(192e3, 10, seconds=0.25), Case(192e3, 10, by_frequency=True, seconds=0.25), Case(192e3, 12, seconds=0.25),
     Case(192e3, 12, speed=6.0, seconds=0.1), Case(192e3, 17, seconds=0.1),
     Case(16e3, 4, "ambisonic"), Case(16e3, 8, "ambisonic"), Case(48e3, 6, "ambisonic"), Case(48e3, 10, "ambisonic", seconds=0.5),
-    Case(48e3, 1, "head"), Case(48e3, 2, "head"), Case(48e3, 4, "head"), Case(48e3, 6, "head", seconds=0.5),
-    Case(16e3, 3, "head", 0.3), Case(16e3, 6, "head"),
+    Case(48e3, 2, "head", seconds=0.25), Case(48e3, 4, "head", seconds=0.25), Case(48e3, 7, "head", seconds=0.25),
+    Case(16e3, 3, "head", 0.3, seconds=0.5), Case(16e3, 6, "head", seconds=0.5), Case(16e3, 8, "head", seconds=0.5),
 ]  # fmt: skip
 
 
