@@ -84,7 +84,9 @@ def main() -> None:
     """Measure and print a table, and the scenes beyond the aim."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeat", type=int, default=3, metavar="N", help="counted calls of each (default: 3)")
-    parser.add_argument("--only", nargs="+", default=[""], metavar="TEXT", help="scenes whose names contain any of these")
+    parser.add_argument(
+        "--only", nargs="+", default=[""], metavar="TEXT", help="scenes whose names contain any of these"
+    )
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     print("| scene | default, s | sampled channels, s | sum, s | ratio |\n" + "|---" * 5 + "|")
@@ -95,7 +97,9 @@ def main() -> None:
             ratios.append(ratio)
             print(text, flush=True)
     beyond = sum(ratio > AIM for ratio in ratios)
-    print(f"\n{beyond} of {len(ratios)} beyond {AIM}; mean {math.exp(np.mean(np.log(ratios))):.2f}, largest {max(ratios):.2f}")
+    print(
+        f"\n{beyond} of {len(ratios)} beyond {AIM}; mean {math.exp(np.mean(np.log(ratios))):.2f}, largest {max(ratios):.2f}"
+    )
 
 
 if __name__ == "__main__":
