@@ -134,7 +134,10 @@ class Heads:
     def cost_at_nodes(
         self, filters: SourceFilters, counts: tuple[float, float, int], spacing: int, longest: float, until: float
     ) -> float:
-        """Return the processor time of sampled channels, ns; see `work_at_nodes`. Directions take as long otherwise."""
+        """Return the processor time of sampled channels, ns; see `work_at_nodes`.
+
+        Directions take as long otherwise. The components are there: `may_be_cheaper` weighs the time to find them.
+        """
         known, (paths, _, _), samples = measured_costs(), counts, until * filters.rate
         nodes = samples / spacing + 2 * NODES
         points = ChannelFilters.of(filters).grid(0.0, longest, spacing).size
@@ -142,7 +145,7 @@ class Heads:
         room = sum(c.room for c in self.of.values())
         each = known.channel_path + known.ear_component * max(spread)
         transforms = points * (FINER / COARSER * sum(spread) + room) * known.ear_point
-        return known.ear_planned + nodes * (paths * each + transforms) + samples * room * known.ear_filter
+        return nodes * (paths * each + transforms) + samples * room * known.ear_filter
 
 
 def may_be_cheaper(emission: Emission, filters: SourceFilters, pairs: list[int]) -> bool:
