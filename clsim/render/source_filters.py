@@ -337,7 +337,7 @@ class SourceFilters:
     def cost(self) -> float:
         """Processor time of a path in a sample, ns."""
         known, times = measured_costs(), -(-len(self.basis.nodes) // _TOGETHER)
-        return known.second * times / self.rate + known.function * len(self.basis)
+        return known.second * times**2 / self.rate + known.function * len(self.basis)
 
 
 def _oversampling(sound: ShortTimeSpectra, interpolator: Interpolator, max_rate: float, rate: float) -> int:

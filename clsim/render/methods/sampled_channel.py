@@ -26,7 +26,7 @@ from clsim.tracks.tracks import SceneTracks, Tracks
 _SPARE, _MARGINS = 1.03, (6.0, 12.0, 24.0, 48.0, 96.0)  # of the Doppler shift, and Hz beyond it, tried in this order
 _BEYOND = 1.0  # s beyond delays and blocks, for which motions go on at either end: as long as nodes weigh at most
 _SURE = 0.85  # of the cost of the sum over paths, below which sampling is cheaper: estimates are right within 15 %
-_PLANNED = 2e7  # ns, of looking at what changes between nodes, and of what is begun
+_PLANNED = 1.5e7  # ns, of looking at what changes between nodes, and of what is begun
 _LEAST_SPACING = 16  # samples between nodes, below which the sum over paths is as cheap
 
 
