@@ -18,7 +18,7 @@ from clsim.render.plan import ChannelPart
 from clsim.render.source_filters import SourceFilters
 
 TAPS = 8  # points over which a path is spread
-PHASES = 2048  # of its place between two points for which the window is kept; between them it is linear
+PHASES = 256  # of its place between two points for which the window is kept, 16 KiB; between them it is linear
 FINER, COARSER = 16, 12  # points of the grid in so many samples: lanes of vectors in ``convolve.cl``
 WIDEST = 0.95  # share of half the sampling rate, up to which the window's images are 101 dB below
 _SHAPE = 0.635 * math.pi * TAPS  # of the Kaiser-Bessel window: the least images up to that share, found by search

@@ -39,6 +39,7 @@ _LIMIT_DB = 100.0  # by which the band limit stops what lies above the band
 _LIMIT_WIDTH, _LEAST_LIMIT_WIDTH = 0.08, 0.02  # of half the sampling rate, over which it falls to that
 _LEAST_BIN = 1e-3  # of the spacing of a spectrum's frequencies: where bands begin that go down to 0 Hz
 _OF_A_WINDOW = 0.5  # of a window of the short-time spectra in which the rest is loud
+_TOGETHER = 8  # frequencies at which devices take responses together
 _MAIN_WINDOW_SHARE = 1e-3  # of a window's energy, which a wide band limit may weaken
 
 
@@ -335,8 +336,8 @@ class SourceFilters:
 
     def cost(self) -> float:
         """Processor time of a path in a sample, ns."""
-        known = measured_costs()
-        return known.second / self.rate + known.function * len(self.basis)
+        known, times = measured_costs(), -(-len(self.basis.nodes) // _TOGETHER)
+        return known.second * times**2 / self.rate + known.function * len(self.basis)
 
 
 def _oversampling(sound: ShortTimeSpectra, interpolator: Interpolator, max_rate: float, rate: float) -> int:

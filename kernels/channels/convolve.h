@@ -4,29 +4,27 @@
 
 #define KEPT 12  // as in render/channel_grid.py, 12 samples of 16 points
 
-// Two vectors of which the elements of a and b alternate: four rounds of this exchange lanes and vectors.
-#define MIX(a, i, j, x, y)                                                                                               \
-    const wide x = (wide)(a[i].s0, a[j].s0, a[i].s1, a[j].s1, a[i].s2, a[j].s2, a[i].s3, a[j].s3, a[i].s4, a[j].s4,        \
-                        a[i].s5, a[j].s5, a[i].s6, a[j].s6, a[i].s7, a[j].s7),                                           \
-              y = (wide)(a[i].s8, a[j].s8, a[i].s9, a[j].s9, a[i].sa, a[j].sa, a[i].sb, a[j].sb, a[i].sc, a[j].sc,        \
-                        a[i].sd, a[j].sd, a[i].se, a[j].se, a[i].sf, a[j].sf);
-
-INLINE void mix(const wide* from, wide* to)
-{
-#pragma unroll
-    for (int i = 0; i < WIDE / 2; i++) {
-        MIX(from, i, i + WIDE / 2, low, high)
-        to[2 * i] = low, to[2 * i + 1] = high;
-    }
-}
+// Exchange lanes and vectors: first within blocks of 4 by 4, by two rounds within 128 bits, then the blocks. Devices with vectors
+// of 256 bits take one instruction for each of their vectors and round.
+#define LOW(x, y) (wide)(x.s0, y.s0, x.s1, y.s1, x.s4, y.s4, x.s5, y.s5, x.s8, y.s8, x.s9, y.s9, x.sc, y.sc, x.sd, y.sd)
+#define HIGH(x, y) (wide)(x.s2, y.s2, x.s3, y.s3, x.s6, y.s6, x.s7, y.s7, x.sa, y.sa, x.sb, y.sb, x.se, y.se, x.sf, y.sf)
+#define LOW_PAIRS(x, y) (wide)(x.s01, y.s01, x.s45, y.s45, x.s89, y.s89, x.scd, y.scd)
+#define HIGH_PAIRS(x, y) (wide)(x.s23, y.s23, x.s67, y.s67, x.sab, y.sab, x.sef, y.sef)
+#define BLOCKS_OF(b, i, lanes) (wide)(b[i].lanes, b[i + 4].lanes, b[i + 8].lanes, b[i + 12].lanes)
 
 INLINE void transpose(wide* a)
 {
     wide b[WIDE];
-    mix(a, b);
-    mix(b, a);
-    mix(a, b);
-    mix(b, a);
+#pragma unroll
+    for (int i = 0; i < WIDE; i += 4) {
+        const wide p = LOW(a[i], a[i + 1]), q = HIGH(a[i], a[i + 1]), r = LOW(a[i + 2], a[i + 3]), s = HIGH(a[i + 2], a[i + 3]);
+        b[i] = LOW_PAIRS(p, r), b[i + 1] = HIGH_PAIRS(p, r), b[i + 2] = LOW_PAIRS(q, s), b[i + 3] = HIGH_PAIRS(q, s);
+    }
+#pragma unroll
+    for (int i = 0; i < 4; i++) {
+        a[i] = BLOCKS_OF(b, i, s0123), a[i + 4] = BLOCKS_OF(b, i, s4567);
+        a[i + 8] = BLOCKS_OF(b, i, s89ab), a[i + 12] = BLOCKS_OF(b, i, scdef);
+    }
 }
 
 // Turn the numbers of WIDE vectors, each lane by its own angle.

@@ -27,12 +27,14 @@ from clsim.render.channel_grid import (
     window_at,
     window_table,
 )
+from clsim.render.methods.channel_split import Splitter
 from clsim.render.methods.per_sample import ReferenceEngine
 from clsim.render.opencl import branch_signals, channel_engine, nodes
 from clsim.render.opencl.channel_engine import ChannelEngine, TaperedEngine
 from clsim.render.plan import Plan, node_times
 from clsim.render.planning import on_device
 from clsim.render.render import record
+from clsim.render.source_filters import Emission
 
 PROMISED_DB = -86.0
 LEFT_DB = -83.0  # of what is summed beside them alone: tapers as lines over subblocks; measured -84.7
@@ -445,6 +447,26 @@ def test_other_engines_filters_and_few_paths_take_the_sum(options: dict[str, Any
 
 def test_thousands_of_paths_are_sampled_by_themselves() -> None:
     assert planned(scene(1.0), order=14, channels=None, narrowband=None).allocation.channels
+
+
+def test_paths_that_have_not_arrived_cost_the_sum_nothing() -> None:
+    """In 100 ms the sum over thousands of paths works on the few that have arrived by then."""
+    assert not planned(scene(0.3), order=15, channels=None, narrowband=None, duration=0.1).allocation.channels
+
+
+def test_the_sum_takes_the_seconds_in_which_paths_sound() -> None:
+    found = clsim.find_paths(scene(0.5, start=0.1), 3)
+    plan = clsim.plan_render(found, RATE, **CHANNELS)
+    tracks = plan.tracks.of_scene
+    assert tracks is not None
+    emission = Emission.of(0, (found.scene.sources[0].emitted, 0.1), tracks, plan.options, 0.45, tracks, static=False)
+    splitter, pairs = Splitter.of(emission, tracks, [0, 1]), (0, 1)
+    times, sounding = np.linspace(0.0, 0.45, 901), 0.0
+    for pair in pairs:
+        emitted = times - tracks.evaluate(pair, times, plan.source_filters[0].basis)[0]
+        sounding += float(np.sum((emitted >= 0.1) & (emitted <= 0.5))) * 0.45 / 901
+    # Delays are bounded by what they can be at the speeds of both ends, a few milliseconds to either side.
+    assert sounding <= splitter.summed(pairs) <= 1.06 * sounding
 
 
 def test_functions_of_frequency_are_drawn_from_the_loudest_of_many_paths() -> None:

@@ -94,10 +94,17 @@ class Splitter:
         return cls(emission, tracks, tuple(pairs), pieces)
 
     def summed(self, pairs: tuple[int, ...]) -> float:
-        """Return the seconds of all paths of pairs, as costly as paths to one channel, that are summed otherwise."""
-        ends, until = (self.tracks.pairs[i] for i in pairs), self.emission.until
-        lives = ((np.clip(m.end, 0.0, until) - np.clip(m.start, 0.0, until), len(m.channels)) for m in ends)
-        return float(sum(np.sum(life) * (1.0 + _A_CHANNEL * (count - 1)) for life, count in lives))
+        """Return the seconds of all paths of pairs, as costly as paths to one channel, that are summed otherwise.
+
+        They begin when the first sound arrives by a path, and end with the last.
+        """
+        until, start, total = self.emission.until, self.emission.start, 0.0
+        ranges = self.tracks.delay_ranges(pairs, 0.0, until)
+        for member, (low, high) in zip((self.tracks.pairs[i] for i in pairs), ranges, strict=True):
+            first = np.maximum(member.start, np.maximum(start + low, 0.0))
+            last = np.minimum(member.end, np.minimum(start + self.emission.signal.duration + high, until))
+            total += float(np.sum(np.maximum(last - first, 0.0))) * (1.0 + _A_CHANNEL * (len(member.channels) - 1))
+        return total
 
     def at(self, margin: float, near: Mapping[object, NDArray[np.bool_]]) -> Split:
         """Return the split for a margin beyond the Doppler shift, Hz, with `near` paths left."""

@@ -83,6 +83,7 @@ class EarComponents:
 def ear_components(ears: EarResponses) -> EarComponents:
     """Return the components of responses, in falling order, by the singular vectors of those all around."""
     from scipy.fft import irfft, next_fast_len
+    from scipy.linalg import eigh
 
     length = ears.before + ears.after + 1
     size = next_fast_len(length, real=True)
@@ -90,16 +91,19 @@ def ear_components(ears: EarResponses) -> EarComponents:
     found = ears.at_multiples(fibonacci_sphere(_DIRECTIONS), step, fade)
     channels = found.shape[1]
     flat = np.ascontiguousarray(found).reshape(len(found), -1).view(np.float64)
-    powers, axes = np.linalg.eigh(flat.T @ flat)
-    powers, axes = np.maximum(powers[::-1], 0.0), axes[:, ::-1]
-    left = np.cumsum(powers[::-1])[::-1]
-    count = int(np.count_nonzero(left > 10 ** (_LEFT_OUT_DB / 10) * left[0]))
+    squares, level = flat.T @ flat, 10 ** (_LEFT_OUT_DB / 10)
+    whole = float(np.trace(squares))
+    # All of those below this bound are left out: together they add less than the level.
+    powers, axes = eigh(squares, subset_by_value=(level * whole / len(squares), np.inf), overwrite_a=True)
+    powers, axes = powers[::-1], axes[:, ::-1]
+    left = whole - np.cumsum(powers) + powers  # of each and all behind it
+    count = int(np.count_nonzero(left > level * whole))
     spectra = np.ascontiguousarray(axes[:, :count].T).view(np.complex128).reshape(count, channels, -1)
     taps = np.roll(irfft(spectra, size), ears.before, axis=-1)[..., :length]
     every = max(int(2 * channels * len(fade) / (_FREQUENCIES * count)), 1)  # fewer frequencies tell the weights
     values = np.ascontiguousarray(spectra[..., ::every]).reshape(count, -1).view(np.float64)
     projection = np.linalg.pinv(values).astype(np.float32)
-    shares = np.sqrt(powers[:count] / left[0])
+    shares = np.sqrt(powers[:count] / whole)
     return EarComponents(ears, every * step, fade[::every].astype(np.float32), projection, shares, taps)
 
 
@@ -130,7 +134,10 @@ class Heads:
     def cost_at_nodes(
         self, filters: SourceFilters, counts: tuple[float, float, int], spacing: int, longest: float, until: float
     ) -> float:
-        """Return the processor time of sampled channels, ns; see `work_at_nodes`. Directions take as long otherwise."""
+        """Return the processor time of sampled channels, ns; see `work_at_nodes`.
+
+        Directions take as long otherwise. The components are there: `may_be_cheaper` weighs the time to find them.
+        """
         known, (paths, _, _), samples = measured_costs(), counts, until * filters.rate
         nodes = samples / spacing + 2 * NODES
         points = ChannelFilters.of(filters).grid(0.0, longest, spacing).size
@@ -138,7 +145,7 @@ class Heads:
         room = sum(c.room for c in self.of.values())
         each = known.channel_path + known.ear_component * max(spread)
         transforms = points * (FINER / COARSER * sum(spread) + room) * known.ear_point
-        return known.ear_planned + nodes * (paths * each + transforms) + samples * room * known.ear_filter
+        return nodes * (paths * each + transforms) + samples * room * known.ear_filter
 
 
 def may_be_cheaper(emission: Emission, filters: SourceFilters, pairs: list[int]) -> bool:

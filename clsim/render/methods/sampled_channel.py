@@ -125,7 +125,6 @@ def _cheaper(
     emission, known, found = splitter.emission, measured_costs(), []
     costs = known.channel_path, known.channel_function, known.channel_point, known.channel_nodes
     rate, of_path = filters.rate, filters.cost() if heads is None else heads.cost_of_path(filters)
-    share = min(emission.signal.duration + longest, emission.until) / emission.until  # in which something is emitted
     for margin in _MARGINS:
         spacing = _spacing(emission, filters, margin)
         if spacing < _LEAST_SPACING:
@@ -141,7 +140,7 @@ def _cheaper(
         seconds, stretches = split.summed(emission.until)
         cost += times * (of_path * seconds * rate + known.stretch * stretches)
         whole = times * splitter.summed(split.pairs)
-        if emission.options.channels or cost + _PLANNED < _SURE * of_path * rate * share * whole:
+        if emission.options.channels or cost + _PLANNED < _SURE * of_path * rate * whole:
             found.append((cost, margin, spacing))
     return [(margin, spacing) for _, margin, spacing in sorted(found)]
 
