@@ -36,7 +36,7 @@ def scene_of(floor: float, person: bool) -> clsim.Scene:
         clsim.Shoebox((6.0, 5.0, 2.6), walls), clsim.Air(),
         [clsim.Source("beacon", train, clsim.Trajectory.fixed(BEACON))],
         [clsim.Receiver("ear", clsim.Trajectory.fixed(EAR))],
-        scatterers=clsim.walking_person("person", 1.75, way, shadow=True) if person else (),
+        scatterers=clsim.walking_person("person", 1.75, way) if person else (),
     )  # fmt: skip
 
 

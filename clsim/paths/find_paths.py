@@ -153,7 +153,8 @@ class _Search:
         elif search.diffraction and cut_off:
             warn("scatterers go behind edges, where their echoes end at once (edge_scattering=True lets them fade)")
         if any(scatterer.shape.outlined for scatterer in scene.scatterers):
-            found += [shaded_paths(scene, cast("Any", each), order) for each in self.unscattered if each.is_specular]
+            shaded = (shaded_paths(scene, cast("Any", each), order) for each in self.unscattered if each.is_specular)
+            found += [paths for paths in shaded if len(paths)]
         return found
 
 

@@ -244,7 +244,7 @@ class _Part:
 def captured_person(
     name: str, path: str | PathLike[str], *, segments: Segments | None = None, shape: str = "ellipsoid",
     scale: float = 1.0, up: str | None = None, rotate: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-    translate: ArrayLike = (0.0, 0.0, 0.0), time_offset: float = 0.0,
+    translate: ArrayLike = (0.0, 0.0, 0.0), time_offset: float = 0.0, shadow: bool = True,
 ) -> list[Scatterer]:  # fmt: skip
     r"""Return the scatterers of a person from a motion-capture file: one for each part between two joints.
 
@@ -268,6 +268,8 @@ def captured_person(
         Then turned by a unit quaternion x y z w, and moved, m.
     time_offset : float
         Time of the file's first row, 0 or before, s.
+    shadow : bool
+        Whether every part casts a shadow, see `Scatterer.ellipsoid`.
 
     Notes
     -----
@@ -297,7 +299,7 @@ def captured_person(
     ]
     known = dict(zip(joints.names, (curve.position(times) for curve in curves), strict=True))
     parts = _usual(joints, known) if segments is None else _between(known, segments)
-    return [_scatterer(f"{name} {part.name}", part, start + times, shape) for part in parts]
+    return [_scatterer(f"{name} {part.name}", part, start + times, shape, shadow) for part in parts]
 
 
 def _between(known: dict[str, Floats], segments: Any) -> list[_Part]:
@@ -374,9 +376,9 @@ def _trunk(at: dict[str, Floats], tall: float) -> list[_Part]:
     return parts
 
 
-def _scatterer(name: str, part: _Part, times: Floats, shape: str) -> Scatterer:
+def _scatterer(name: str, part: _Part, times: Floats, shape: str, shadow: bool) -> Scatterer:
     """Return a part as a scatterer."""
     moved: Trajectory = through_poses(times, part.centre, quaternions_along(part.along, part.aside))
     if part.aside is None and shape == "capsule":
-        return Scatterer.capsule(name, float(part.size[1]), 2.0 * float(part.size[2]), moved)
-    return Scatterer.ellipsoid(name, part.size, moved)
+        return Scatterer.capsule(name, float(part.size[1]), 2.0 * float(part.size[2]), moved, shadow=shadow)
+    return Scatterer.ellipsoid(name, part.size, moved, shadow=shadow)

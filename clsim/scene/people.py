@@ -184,7 +184,7 @@ PARTS = {
 }  # fmt: skip
 
 
-def walking_person(name: str, height: float, trajectory: Trajectory, shadow: bool = False) -> list[Scatterer]:
+def walking_person(name: str, height: float, trajectory: Trajectory, shadow: bool = True) -> list[Scatterer]:
     """Return the scatterers of a walking person: 13 ellipsoids on the gait of Boulic and Thalmann.
 
     Parameters
@@ -317,7 +317,7 @@ _BENT, _THUMB = 0.5 * math.pi, 0.6  # rad by which each joint of a closed hand i
 
 
 def hand(
-    name: str, trajectory: Trajectory, length: float = 0.19, opening: ArrayLike | float = 1.0, shadow: bool = False
+    name: str, trajectory: Trajectory, length: float = 0.19, opening: ArrayLike | float = 1.0, shadow: bool = True
 ) -> list[Scatterer]:
     """Return the scatterers of a hand: an ellipsoid for the palm, and two capsules for each finger.
 

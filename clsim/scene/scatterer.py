@@ -273,8 +273,8 @@ class CapsuleShape:
 class Scatterer(Moved):
     """An object that scatters sound, made by `point`, `sphere`, `ellipsoid` or `capsule`.
 
-    It ends no path: behind what casts a shadow (spheres, and others by `shadow`), the scattered wave
-    cancels the direct one there. Paths by two scatterers are found with ``scatterers_in_row=2``.
+    It ends no path: behind what casts a shadow (by default all but points), the scattered wave cancels
+    the direct one there. Paths by two scatterers are found with ``scatterers_in_row=2``.
 
     Parameters
     ----------
@@ -354,7 +354,7 @@ class Scatterer(Moved):
     @staticmethod
     def ellipsoid(
         name: str, semi_axes: ArrayLike, trajectory: Trajectory, fluctuation: TargetFluctuation | None = None,
-        shadow: bool = False,
+        shadow: bool = True,
     ) -> Scatterer:  # fmt: skip
         """Return a rigid ellipsoid, by geometrical optics: the echo of its specular point.
 
@@ -365,8 +365,8 @@ class Scatterer(Moved):
         trajectory : Trajectory
             Position of its centre, and its orientation.
         shadow : bool
-            Whether it casts a shadow: in the forward direction the field about its outline, which costs many times as
-            much. It takes away the direct sound behind it.
+            Whether it casts a shadow: in the forward direction the field about its outline, which costs several times
+            as much as its echo. It takes away the direct sound behind it.
 
         Examples
         --------
@@ -388,7 +388,7 @@ class Scatterer(Moved):
     @staticmethod
     def capsule(
         name: str, radius: float, length: float, trajectory: Trajectory, fluctuation: TargetFluctuation | None = None,
-        shadow: bool = False,
+        shadow: bool = True,
     ) -> Scatterer:  # fmt: skip
         """Return a rigid capsule, a cylinder with round ends, by Fresnel integrals along it.
 

@@ -124,7 +124,8 @@ def _designed(found: _Functions, sample: Sample, error_db: float, held: Held, pa
     together = sample.by_frame(found.gains(sample.responses))
     if paired:
         together = np.maximum(together[:, ::2], together[:, 1::2]).repeat(2, axis=1)
-    scale = np.sqrt(together.max(axis=0))[:, None]
+    loudest_of = together.max(axis=0)
+    scale = np.sqrt(np.where(loudest_of > 0.0, loudest_of, 1.0))[:, None]  # nothing may be loud at instants of a sample
     sizes = sample.sizes(found.shapes * scale, together / scale[:, 0] ** 2)
     order = np.argsort(-sizes, kind="stable")  # weak ones need fewer branches
     shapes, sizes, nodes, importance = (found.shapes * scale)[order], sizes[order], found.nodes, sample.importance

@@ -33,7 +33,7 @@ def test_results_are_in_order_and_errors_are_raised() -> None:
 def test_not_a_bit_depends_on_the_number_of_threads(device: None, monkeypatch: pytest.MonkeyPatch) -> None:
     hand = clsim.Scatterer.ellipsoid(
         "hand", (0.02, 0.05, 0.09), clsim.Trajectory.line((2, 2.5, 1.2), (1.4, 2.5, 1.2), 0.5),
-        clsim.TargetFluctuation(0.5),  # of which the device knows nothing
+        clsim.TargetFluctuation(0.5), shadow=False,  # of the former the device knows nothing
     )  # fmt: skip
     tone = clsim.Signal.chirp(38e3, 42e3, 0.09, RATE, window="hann")
     ears = [clsim.Receiver(f"ear {y:g}", clsim.Trajectory.fixed((1.0, y, 1.2))) for y in (2.4, 2.6)]

@@ -39,13 +39,13 @@ def things(phased: bool) -> list[clsim.Scatterer]:
         lambda t: np.stack([1.6 + 0.2 * np.sin(9.0 * t), 2.2 + 0.0 * t, 1.0 + 0.1 * np.cos(7.0 * t)], 1), 0.3, 200.0
     )
     found = [
-        clsim.Scatterer.ellipsoid("tumbling", (0.09, 0.3, 0.15), tumbling),
+        clsim.Scatterer.ellipsoid("tumbling", (0.09, 0.3, 0.15), tumbling, shadow=False),
         clsim.Scatterer.sphere("swinging", 0.05, swinging, model="geometrical"),
         clsim.Scatterer.point("point", -20.0, clsim.Trajectory.line((1.0, 2.0, 1.5), (1.4, 1.7, 1.2), 0.3)),
     ]
     if phased:
         found += [
-            clsim.Scatterer.capsule("stick", 0.03, 0.25, tumbling),
+            clsim.Scatterer.capsule("stick", 0.03, 0.25, tumbling, shadow=False),
             clsim.Scatterer.sphere("ball", 0.04, swinging),
         ]
     return found
@@ -140,7 +140,7 @@ def test_device_and_host_make_the_same(case: str, monkeypatch: pytest.MonkeyPatc
 def test_device_and_host_find_the_specular_points_of_poles() -> None:
     """160 times as long as thin: the place moves by metres where the unit vector u hardly turns."""
     pole = clsim.Scatterer.ellipsoid(
-        "pole", (16.0, 0.2, 0.1), clsim.Trajectory.line((2.2, 2.2, 0.8), (2.3, 2.5, 0.8), 0.1)
+        "pole", (16.0, 0.2, 0.1), clsim.Trajectory.line((2.2, 2.2, 0.8), (2.3, 2.5, 0.8), 0.1), shadow=False
     )
     sweep = clsim.Signal.chirp(34e3, 46e3, 0.06, RATE, window="tukey")
     scene = clsim.Scene(

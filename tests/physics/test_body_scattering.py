@@ -38,9 +38,9 @@ def things() -> list[clsim.Scatterer]:
     return [
         clsim.Scatterer.point("point", -10.0, LINE((2.0, 2.0, 1.0), (1.5, 2.0, 1.2), 0.2)),
         clsim.Scatterer.sphere("ball", 0.05, LINE((1.6, 0.6, 0.7), (1.9, 0.5, 0.7), 0.2)),
-        clsim.Scatterer.ellipsoid("arm", (0.05, 0.1, 0.07), clsim.Trajectory.waypoints(t, way, turn)),
+        clsim.Scatterer.ellipsoid("arm", (0.05, 0.1, 0.07), clsim.Trajectory.waypoints(t, way, turn), shadow=False),
         clsim.Scatterer.capsule(
-            "leg", 0.05, 0.3, clsim.Trajectory.waypoints(t, way + np.array([0.0, 0.5, -0.4]), turn)
+            "leg", 0.05, 0.3, clsim.Trajectory.waypoints(t, way + np.array([0.0, 0.5, -0.4]), turn), shadow=False
         ),
     ]
 

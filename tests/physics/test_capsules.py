@@ -150,7 +150,7 @@ def test_limits_are_geometrical_optics() -> None:
 
 
 def test_bounds_and_what_is_inside(rng: np.random.Generator) -> None:
-    shape = clsim.Scatterer.capsule("c", 0.03, 0.2, clsim.Trajectory.fixed((0.0, 0.0, 0.0))).shape
+    shape = clsim.Scatterer.capsule("c", 0.03, 0.2, clsim.Trajectory.fixed((0.0, 0.0, 0.0)), shadow=False).shape
     ends = rng.normal(size=(2, 4000, 3))
     ends[:, :500, 2] = ends[:1, :500, 2] * 1e-3  # near broadside
     ends /= np.linalg.norm(ends, axis=2)[..., None] / rng.uniform(0.3, 50.0, (2, 4000, 1))
@@ -281,7 +281,9 @@ def test_capsules_are_solved_together_as_one_by_one(shadow: bool) -> None:
 
 def test_echoes_are_envelopes_where_other_paths_are(device: str) -> None:
     """The split of the tone for paths by walls is taken for the echo, within what is promised of all."""
-    stick = clsim.Scatterer.capsule("c", 0.05, 0.3, clsim.Trajectory.line((2.5, 1.0, 1.1), (2.5, 3.0, 1.1), 4.1))
+    stick = clsim.Scatterer.capsule(
+        "c", 0.05, 0.3, clsim.Trajectory.line((2.5, 1.0, 1.1), (2.5, 3.0, 1.1), 4.1), shadow=False
+    )
     paths = walking([stick], 4.0)
     told = clsim.plan_render(paths, 192e3, duration=4.0, narrowband=True).describe()
     assert sum("narrow part: rendered as complex envelope" in line for line in told) == 2

@@ -180,3 +180,19 @@ def test_nothing_jumps_as_a_person_walks_through_a_line_of_sight() -> None:
     around = np.maximum(steps[:-2], steps[2:])
     assert np.ptp(np.abs(total)) * 3.0 > 0.5
     assert (steps[1:-1] - around).max() < 1e-3
+
+
+@pytest.mark.parametrize(("y", "shaded"), [(1.5, 1), (3.4, 0)])
+def test_only_paths_that_something_comes_near_have_shadows(y: float, shaded: int) -> None:
+    """A ball of 2 cm falls through the direct sound within 10 s, at up to 16 m/s: it is near that for some milliseconds."""
+
+    def place(t: np.ndarray) -> np.ndarray:  # between two of the instants at which it is looked
+        return np.stack([2.0 + 0.0 * t, y + 0.0 * t, 1.2 - 0.4 * np.tanh((t - 5.0195) / 0.025)], axis=1)
+
+    scene = clsim.Scene(
+        clsim.Shoebox((4.0, 4.0, 2.5), clsim.Material.from_reflection(0.0)), clsim.Air(),
+        [clsim.Source("s", clsim.Signal.tone(40e3, 0.01, 192e3), clsim.Trajectory.fixed((1.0, 1.5, 1.2)))],
+        [clsim.Receiver("r", clsim.Trajectory.fixed((3.0, 1.5, 1.2)))],
+        scatterers=[clsim.Scatterer.ellipsoid("b", (0.01, 0.01, 0.01), clsim.Trajectory.sampled(place, 10.0, 1e3))],
+    )  # fmt: skip
+    assert (clsim.find_paths(scene, 0).interactions == 5).any(axis=1).sum() == shaded

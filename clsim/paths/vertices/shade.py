@@ -25,9 +25,10 @@ from clsim.paths.legs.legs import StaticLeg, static_arrivals
 from clsim.paths.response import Arrivals, Kinematics, SceneResponse
 from clsim.paths.vertices.scatterer import centre_of
 from clsim.scene.scatterer import CapsuleShape, Scatterer
-from clsim.scene.scene import Scene
+from clsim.scene.scene import Scene, known_until
 
 _RIGHT = 1e-9  # cosine of an angle that counts as a right one
+_INSTANTS = 257  # of a run, at which it is looked what comes near a path
 _ROUNDS = 3  # of finding when sound passes a body, each by the Mach number of the body
 
 
@@ -96,20 +97,38 @@ class ShadeVertex:
 
     def respond(self, links: Links, found: Arrivals, times: Floats, passing: Any, at: SceneResponse) -> Any:
         """Responses (P, T, F) by what shadows add, and by what air and walls let pass, (P, T, F)."""
+        wave, centre = 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound, centre_of(links)
+        passed = np.ones((*found.delay.shape, len(wave)), dtype=np.complex128)
+        for mine, ends, times_of in self._parts_of(links, found, times):
+            factor = passed[mine].reshape(-1, len(wave))
+            _shade(self.casting, (wave, centre), ends, times_of, factor)
+            passed[mine] = factor.reshape(len(mine), -1, len(wave))
+        return passing * (found.mach_factor / found.length)[..., None] * (passed - 1.0)
+
+    def met(self, links: Links, found: Arrivals, times: Floats, margin: Floats) -> NDArray[np.bool_]:
+        """Test which paths (P,) a body comes near at times (T,), s, or within margins (T,), m, of that."""
+        met, centre = np.zeros(len(self), dtype=bool), centre_of(links)
+        for mine, ends, times_of in self._parts_of(links, found, times):
+            if not met[mine].all():
+                met[mine] |= any(
+                    len(_near(one, centre, ends, times_of, np.tile(margin, len(mine)))[0]) for one in self.casting
+                )
+        return met
+
+    def _parts_of(self, links: Links, found: Arrivals, times: Floats) -> Iterator[tuple[Any, Any, Any]]:
+        """Yield rows of one path, with both ends (n, 3) of a part of it, m, and times (n,) at these, s."""
         leg, (source, receiver), sent = links.legs[0], links.motions, found.emission_time
         begin = source.position(sent.ravel()).reshape(*sent.shape, 3)
         received = np.broadcast_to(times, sent.shape)
         end = leg.turned_back(receiver.position(received.ravel()).reshape(begin.shape) - leg.offset[:, None])
-        wave = 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound
-        centre = centre_of(links)
-        passed = np.ones((*sent.shape, len(wave)), dtype=np.complex128)
         for mine in self.groups():
-            times_of, factor = (sent[mine].ravel(), received[mine].ravel()), passed[mine].reshape(-1, len(wave))
+            times_of = sent[mine].ravel(), received[mine].ravel()
             for part in range(*self.first[self.path[mine[0]] :][:2]):
-                seen = [x[mine].reshape(-1, 3) @ self.matrix[part].T + self.offset[part] for x in (begin, end)]
-                _shade(self.casting, (wave, centre), (seen[0], seen[1]), times_of, factor)
-            passed[mine] = factor.reshape(len(mine), -1, len(wave))
-        return passing * (found.mach_factor / found.length)[..., None] * (passed - 1.0)
+                yield (
+                    mine,
+                    [x[mine].reshape(-1, 3) @ self.matrix[part].T + self.offset[part] for x in (begin, end)],
+                    times_of,
+                )
 
     def largest(self, links: Links, at: SceneResponse) -> float:
         """Bound of what shadows add to pressure: two bodies behind each other on the axis are the loudest."""
@@ -145,11 +164,16 @@ def _shade(
 
 
 def _near(
-    scatterer: Scatterer, centre: float, ends: tuple[Floats, Floats], times: tuple[Floats, Floats]
+    scatterer: Scatterer,
+    centre: float,
+    ends: tuple[Floats, Floats],
+    times: tuple[Floats, Floats],
+    margin: Floats | float = 0.0,
 ) -> tuple[NDArray[np.int64], Floats, Floats]:
     """Rows of sound that passes near one body, and both ends (rows, 3) as that sees them, m.
 
-    Sound goes straight, and evenly: it is at a share of its way at that share of its time.
+    Sound goes straight, and evenly: it is at a share of its way at that share of its time. margin: what counts as near
+    beyond the zone of the shadow, m.
     """
     begin, along = ends[0], ends[1] - ends[0]
     size = np.maximum(np.sum(along**2, axis=1), 1e-30)
@@ -159,7 +183,7 @@ def _near(
         away = scatterer.trajectory.position(now) - begin
         share = np.clip(np.sum(away * along, axis=1) / size, 0.0, 1.0)
     zone = 2.0 * WITHIN * np.sqrt(0.5 * math.pi * np.sqrt(size) / centre)  # the widest, in the middle
-    near = np.flatnonzero(np.linalg.norm(away - share[:, None] * along, axis=1) < shape.radius + zone)
+    near = np.flatnonzero(np.linalg.norm(away - share[:, None] * along, axis=1) < shape.radius + zone + margin)
     seen = [-away[near], (along - away)[near]]
     if scatterer.trajectory.has_orientation and len(near):
         back = inverse(scatterer.trajectory.orientation(now[near]))
@@ -168,7 +192,7 @@ def _near(
 
 
 def shaded_paths(scene: Scene, paths: Chain, order: int) -> Chain:
-    """Find the shadows on paths of up to `order` reflections."""
+    """Find the shadows on paths of up to `order` reflections that any body comes near."""
     check_support("static shade", scene.air)
     rows = np.flatnonzero(paths.order <= order)
     some: Any = paths.part(rows)
@@ -193,7 +217,27 @@ def shaded_paths(scene: Scene, paths: Chain, order: int) -> Chain:
     ends = np.sum(some.interactions != NONE, axis=1)
     kinds[np.arange(len(some)), ends] = SHADOW
     shaded: Chain = replace(some, interactions=read_only(kinds), objects=read_only(objects), vertex=vertex)
-    return shaded
+    return shaded.part(_met(shaded))
+
+
+def _met(paths: Chain) -> NDArray[np.int64]:
+    """Rows of paths that a body comes near while all trajectories are known: how far all move in between counts."""
+    scene, found = paths.scene, [np.arange(0)]
+    until = known_until([*scene.named_ends(), *scene.named_scatterers()])
+    times = np.linspace(0.0, until, _INSTANTS) if until > 0.0 else np.zeros(1)
+    step = until / (len(times) - 0.5)
+
+    def moved(things: Any) -> Any:
+        each = [thing.trajectory.speed_over(times - step, times + step) for thing in things]
+        return step * np.max(each, axis=0)
+
+    for pair in paths.pairs():
+        ends = scene.sources[pair.source], scene.receivers[pair.receiver]
+        margin = moved(paths.vertex.casting) + sum(moved([end]) for end in ends)
+        index = np.arange(len(paths))[pair.rows]
+        links = paths.links(index)
+        found.append(index[links.vertex.met(links, pair.arrivals(times), times, margin)])
+    return np.concatenate(found)
 
 
 def _parts(walls: tuple[int, ...], scene: Scene) -> list[tuple[int, ...]]:

@@ -112,7 +112,7 @@ def test_scatterers_that_fluctuate_are_for_the_host() -> None:
     still = clsim.Trajectory.fixed((3.0, 1.6, 1.4))
     for fluctuation, program in ((None, "scatterers"), (clsim.TargetFluctuation(0.5), None)):
         plain = scene(clsim.Air())
-        ball = clsim.Scatterer.ellipsoid("ball", (0.05, 0.05, 0.05), still, fluctuation)
+        ball = clsim.Scatterer.ellipsoid("ball", (0.05, 0.05, 0.05), still, fluctuation, shadow=False)
         made = clsim.Scene(plain.room, plain.air, plain.sources, plain.receivers, scatterers=[ball])
         found = clsim.find_paths(made, 0, engine="reference", scattering_order=0).families[-1]
         assert found.device == program
