@@ -194,8 +194,8 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
     some = some if len(some.energy) else sound  # a train's pauses
     steady = None if isinstance(signal.waveform, Chirp) else inner  # windows do not tell of others of a sweep
     spectra = [(each, width) for each, width in ((sound, _BINS), (inner, _SHARP_BINS)) if len(each.energy)]
-    motion = emission.max_rate, _width_of_fades(tracks, pairs, error_db), _work(emission, pairs)
-    sets = dict.fromkeys(bands for each in spectra for bands in _band_sets(signal, *each, *motion))
+    motion, work = (emission.max_rate, _width_of_fades(tracks, pairs, error_db)), _work(emission, pairs)
+    sets = dict.fromkeys(bands for each in spectra for bands in _band_sets(signal, *each, *motion, work))
     costs = {bands: of_all + sum(of_band + _envelope_cost(band, rate) for band, *_ in bands) for bands in sets}
     found: list[NarrowOffer] = []
     for bands in sorted(sets, key=costs.__getitem__):
