@@ -17,7 +17,7 @@ from clsim.paths.legs.mirrors import EdgeLines, Mirrors
 from clsim.paths.path_set import PathSet
 from clsim.paths.propagation import UniformAir
 from clsim.paths.response import SceneResponse
-from clsim.paths.search import edge_ends
+from clsim.paths.search import edge_levels
 from clsim.paths.vertices.edge_events import TWO_ENDS, EdgePairs, EdgePairSolver
 from clsim.scene.motion.trajectory import Trajectory
 
@@ -198,7 +198,7 @@ def test_echoes_of_plates_are_those_of_the_room(measured: Callable[..., float]) 
 def test_echoes_of_slow_plates_are_the_room_as_it_is(monkeypatch, measured: Callable[..., float]) -> None:
     """A plate of 10 cm at 0.5 mm/s, with ends of both edges."""
     options: Any = {"diffraction": 2, "direct": False}
-    monkeypatch.setattr(edge_ends, "QUIET_ECHO", 0.0)  # a path that is quiet now may be loud at another time
+    monkeypatch.setattr(edge_levels, "QUIET_ECHO", 0.0)  # a path that is quiet now may be loud at another time
     slow = clsim.Body.box("plate", (0.1, 0.1, 0.0), HARD, LINE(at(0.0, -0.25, -0.125), at(0.0, 0.25, 0.125), 1000.0))
     scene, times = far_scene(BESIDE, [slow], LONG), np.array([450.0, 530.0, 580.0, 700.0])
     for time, one in zip(times, field(clsim.find_paths(scene, 0, **options), times, TONE), strict=True):
@@ -209,7 +209,7 @@ def test_echoes_of_slow_plates_are_the_room_as_it_is(monkeypatch, measured: Call
 
 def test_slow_pillars_are_the_room_as_it_is(monkeypatch: pytest.MonkeyPatch, measured: Callable[..., float]) -> None:
     """At 5 mm/s into the line of sight: all paths together are those of the room with the pillar where it was then."""
-    monkeypatch.setattr(edge_ends, "QUIET", 0.0)  # a path that is quiet now may be loud at another time
+    monkeypatch.setattr(edge_levels, "QUIET", 0.0)  # a path that is quiet now may be loud at another time
     body = pillar(LINE(at(0.0, -0.25, 0.0), at(0.0, 0.25, 0.0), 100.0))
     scene = far_scene(ENDS, [body], LONG)
     moving = clsim.find_paths(scene, 0, diffraction=2)

@@ -43,7 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_response_of_the_scene_itself(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Delay within half a sample, gain within 1.2 dB, and its polarity; strong reflections within 1.5 dB; parameters alike."""
+    """Delay within half a sample, gain within 1.2 dB, and its polarity; strong reflections within 3 dB; parameters alike."""
     arguments = ["compare", str(folder / "far.wav"), str(folder / "scene.toml"), "--receiver", "far"]
     assert main([*arguments, "-o", str(folder / "far.png"), "--force"]) == 0
     out = capsys.readouterr().out
@@ -57,8 +57,9 @@ def test_a_response_of_the_scene_itself(folder: Path, capsys: pytest.CaptureFixt
         rows = list(csv.DictReader(file))
     strong = [row for row in rows if row["order"] in ("0", "1")]
     assert len(strong) == 7
-    for row in strong:
-        assert float(row["measured_db"]) == pytest.approx(float(row["simulated_db"]), abs=1.5), row
+    assert float(strong[0]["measured_db"]) == pytest.approx(float(strong[0]["simulated_db"]), abs=0.1)
+    for row in strong:  # of ten seeds the other noise of the tail changes the weakest of them by 1 dB rms
+        assert float(row["measured_db"]) == pytest.approx(float(row["simulated_db"]), abs=3.0), row
     assert float(rows[0]["delay"]) == pytest.approx(np.linalg.norm([3.4, 2.3, 0.7]) / clsim.Air().speed_of_sound)
     apart = [float(x) for x in re.findall(r"(?:1000|2000|4000) +[\d.-]+ +[\d.-]+ +([+-][\d.]+)$", out, re.MULTILINE)]
     assert len(apart) >= 18
