@@ -299,7 +299,7 @@ def _taps(up: int, down: int) -> Floats:
 
 
 def turns(turn: Fraction, first: int, last: int) -> Complexes:
-    """Return ``exp(2 pi j turn n)`` for n from `first` to `last`, exact however late, (last - first,); Euler's formula."""
+    """Return ``exp(2 pi j turn n)`` for n from `first` to `last`, exact however late, (last - first,)."""
     cycles = float(first * turn % 1) + float(turn) * np.arange(min(last - first, turn.denominator))
     return np.resize(np.exp(2j * math.pi * cycles), last - first)
 

@@ -34,6 +34,7 @@ SOURCE = re.compile(r"\[\w+\]_|\b(?:1[89]|20)\d\d\b|ISO \d+|IEC \d+|AES\d+")
 # Functions that no publication holds, and why; what is derived is derived in their Notes.
 OWN = {
     "advanced": "a delay of transforms",
+    "turns": "a periodic exponential",
     "most_points": "a bound of cost",
     "outline_fields": "`outline_field`, some lines of sight at a time",
     "steps_of_points": "rounding",
