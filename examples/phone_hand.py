@@ -35,7 +35,8 @@ def scene_of() -> tuple[clsim.Scene, clsim.Signal]:
     t = np.linspace(0.0, DURATION + 0.1, 400)
     facing = np.tile([0.0, 0.0, 1.0, 0.0], (len(t), 1))  # the palm looks back along x
     way = clsim.Trajectory.waypoints(t, reach(t), facing)
-    hand = clsim.hand("hand", way, opening=[(0.7, 1.0), (1.0, 0.3), (1.1, 0.3), (1.4, 1.0)])
+    # Nothing is behind the hand: shadows would only cost time.
+    hand = clsim.hand("hand", way, opening=[(0.7, 1.0), (1.0, 0.3), (1.1, 0.3), (1.4, 1.0)], shadow=False)
     chirp = clsim.Signal.chirp(17e3, 23e3, PERIOD, RATE, window="tukey")
     train = clsim.Signal.pulses(chirp, PERIOD, round(DURATION / PERIOD))
     phone = clsim.Source("speaker", train, clsim.Trajectory.fixed((1.0, 1.99, 1.2)))
