@@ -364,7 +364,7 @@ def _takes(old: Any, settings: dict[str, Any], module: Path) -> bool:
         before, now = (each["made_by"]["contents"] for each in (old, settings))
         changed = before[str(module)] != now[str(module)]
         before[str(module)] = now[str(module)]
-    except (KeyError, TypeError, AttributeError):  # none, or no settings of a study, as will be told
+    except (KeyError, TypeError, AttributeError):  # none, or no settings of a study: the comparison refuses them
         return False
     return bool(changed)
 

@@ -124,11 +124,8 @@ class ShadeVertex:
         for mine in self.groups():
             times_of = sent[mine].ravel(), received[mine].ravel()
             for part in range(*self.first[self.path[mine[0]] :][:2]):
-                yield (
-                    mine,
-                    [x[mine].reshape(-1, 3) @ self.matrix[part].T + self.offset[part] for x in (begin, end)],
-                    times_of,
-                )
+                ends = [x[mine].reshape(-1, 3) @ self.matrix[part].T + self.offset[part] for x in (begin, end)]
+                yield mine, ends, times_of
 
     def largest(self, links: Links, at: SceneResponse) -> float:
         """Bound of what shadows add to pressure: two bodies behind each other on the axis are the loudest."""
@@ -164,12 +161,9 @@ def _shade(
 
 
 def _near(
-    scatterer: Scatterer,
-    centre: float,
-    ends: tuple[Floats, Floats],
-    times: tuple[Floats, Floats],
+    scatterer: Scatterer, centre: float, ends: tuple[Floats, Floats], times: tuple[Floats, Floats],
     margin: Floats | float = 0.0,
-) -> tuple[NDArray[np.int64], Floats, Floats]:
+) -> tuple[NDArray[np.int64], Floats, Floats]:  # fmt: skip
     """Rows of sound that passes near one body, and both ends (rows, 3) as that sees them, m.
 
     Sound goes straight, and evenly: it is at a share of its way at that share of its time. margin: what counts as near
@@ -227,13 +221,13 @@ def _met(paths: Chain) -> NDArray[np.int64]:
     times = np.linspace(0.0, until, _INSTANTS) if until > 0.0 else np.zeros(1)
     step = until / (len(times) - 0.5)
 
-    def moved(things: Any) -> Any:
-        each = [thing.trajectory.speed_over(times - step, times + step) for thing in things]
-        return step * np.max(each, axis=0)
+    def moved(thing: Any) -> Floats:
+        return np.asarray(step * thing.trajectory.speed_over(times - step, times + step))
 
+    of_bodies = np.max([moved(body) for body in paths.vertex.casting], axis=0)
     for pair in paths.pairs():
         ends = scene.sources[pair.source], scene.receivers[pair.receiver]
-        margin = moved(paths.vertex.casting) + sum(moved([end]) for end in ends)
+        margin = of_bodies + sum(moved(end) for end in ends)
         index = np.arange(len(paths))[pair.rows]
         links = paths.links(index)
         found.append(index[links.vertex.met(links, pair.arrivals(times), times, margin)])
