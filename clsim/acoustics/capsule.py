@@ -106,11 +106,10 @@ def capsule_aspects(
 def _incidence_curvature(
     radius: Floats | float, half: Floats | float, source: Floats, at: tuple[Floats, Floats, Floats]
 ) -> Floats:
-    """Curvature (n,) in the plane of incidence at places (3, n) with normals and directions around (3, n), 1/m."""
+    """Curvature (n,) at places (3, n) with normals and directions around (3, n), 1/m, see `ellipsoid_mirror`."""
     place, normal, around = at
     away = place - source
-    tangent = away - _dot(normal, away) * normal
-    share = _dot(around, tangent) ** 2 / np.maximum(_dot(tangent, tangent), _SMALL)
+    share = (_dot(around, away) ** 2 + 0.5 * _dot(normal, away) ** 2) / np.maximum(_dot(away, away), _SMALL)
     share = 1.0 - (1.0 - share) * faded((np.abs(place[2]) - half) / radius, (0.0, CAP_FADE))
     return np.asarray(np.maximum(share / radius, radius / (radius + half) ** 2))
 

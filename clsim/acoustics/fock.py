@@ -46,13 +46,12 @@ def lit_reflection(xi: Floats) -> Complexes:
     """Reflection of a smooth hard surface near grazing incidence, over the mirror's, at Fock parameters of any shape.
 
     It is ``exp(j 3 pi / 4) sqrt(-4 / xi) exp(-j xi^3 / 12) (q*(xi) - 1 / (2 sqrt(pi) xi))`` from a table between -6 and
-    -0.5 and ``1 - 2 j / xi^3 - 20 / xi^6`` below (Pathak, Burnside, Marhefka 1980, eq. 26, outside the transition of
-    the incident field).
+    -0.5 and ``1 - 2 j / xi^3 - 28 / xi^6 + 896 j / xi^9 + 43120 / xi^12`` below, to 6e-6 (Pathak, Burnside, Marhefka
+    1980, eq. 26, outside the transition of the incident field). The last three numbers are our own fit to the integral.
     """
-    cubed = 1.0 / np.minimum(xi, FIRST) ** 3
-    return np.where(
-        xi < FIRST, 1.0 - 2j * cubed - 20.0 * cubed**2, _interpolated(lit_table(), np.clip(xi, FIRST, LAST))
-    )
+    over = np.minimum(xi, FIRST) ** -3.0
+    far = 1.0 - over**2 * (28.0 - 43120.0 * over**2) - 2j * over * (1.0 - 448.0 * over**2)
+    return np.where(xi < FIRST, far, _interpolated(lit_table(), np.clip(xi, FIRST, LAST)))
 
 
 @lru_cache(maxsize=1)

@@ -222,7 +222,7 @@ class CapsuleOutline:
         """Distances (n,) of lines of sight from the side's middle line, less the radius."""
         along = receiver - source
         level, slope, length = np.sum(along**2, axis=1), along[:, 2], np.sum(source * along, axis=1)
-        parted = np.maximum(level - slope**2, 1e-12 * level)
+        parted = np.maximum(level - slope**2, 1e-12 * level + LEAST)
         height = np.clip((source[:, 2] * level - slope * length) / parted, -self.half, self.half)
         share = np.clip((height * slope - length) / np.maximum(level, LEAST), 0.0, 1.0)
         height = np.clip(source[:, 2] + share * slope, -self.half, self.half)

@@ -97,12 +97,15 @@ def ellipsoid_mirror(
     """Return the specular reflection of a rigid ellipsoid: strength, m, cosine of incidence, curvature, 1/m, each (n,).
 
     The strength is that of `ellipsoid_strength` without its fall towards grazing incidence (G. T. Ruck et al., Radar
-    Cross Section Handbook, 1970, section 2.2.3). The curvature is that in the plane of incidence.
+    Cross Section Handbook, 1970, section 2.2.3). The curvature is that in the plane of incidence at grazing incidence,
+    and the mean of both where sound comes along the normal, in no plane: in between by the squared sine of the angle.
     """
     scale = semi_axes[:, None]
     normal, away, steep, cosine, bend = _incidence(scale, source, receiver, specular.normal)
-    along = away - _dot(normal, away) / steep**2 * normal
-    curvature = _dot(along / scale, along / scale) / (steep * np.maximum(_dot(along, along), _SMALL))
+    pressed, bent = _dot(normal, away) / steep, normal / (scale * steep)
+    along = (away - pressed / steep * normal) / scale
+    mean = 0.5 * (np.sum(scale**-2.0) - _dot(bent, bent))
+    curvature = (_dot(along, along) + mean * pressed**2) / (steep * np.maximum(_dot(away, away), _SMALL))
     flattest = semi_axes.min() / semi_axes.max() ** 2
     return cosine * float(np.prod(semi_axes)) * steep / np.sqrt(bend), cosine, np.maximum(curvature, flattest)
 

@@ -306,7 +306,7 @@ def with_direct(families: tuple[PathFamily, ...], levels: Floats) -> tuple[PathF
         rows = np.flatnonzero((level != 0.0) & (level != 1.0))
         if len(rows):
             leaks.append(replace(cast("Any", family.part(rows)), level=read_only(level[rows])))
-    return (*free, *leaks)
+    return (*(family for family in free if len(family) or not family.adds), *leaks)
 
 
 def _is_direct(family: PathFamily, levels: Floats) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ import pytest
 from shadow_oracle import AIR, MIDDLE, SILENT, C, capsule, ellipsoid, errors, evenly, heard, sphere, walk
 
 import clsim
+from clsim.acoustics.fock import FIRST, LAST, fock_hard, lit_reflection
 from clsim.acoustics.outline import CapsuleOutline, EllipsoidOutline, counts_of_points
 from clsim.acoustics.silhouette import forward_share, outline_field
 from clsim.numerics.band_filters import chebyshev_points
@@ -204,3 +205,29 @@ def test_outlines_have_enough_points() -> None:
     for i, count in enumerate(counts_of_points(outline, float(wave[0]), *ends)):
         few, many = (outline_field(outline, wave, *(end[[i]] for end in ends), n)[0] for n in (int(count), 4096))
         assert abs(share[i, 0] * (few - many)) < 1e-3
+
+
+@pytest.mark.parametrize(("function", "at"), [(fock_hard, LAST), (lit_reflection, FIRST)])
+def test_series_go_on_where_tables_end(function: Callable[..., np.ndarray], at: float) -> None:
+    """Values and slopes of a table and of the series beyond its end meet."""
+    step = np.array([0.02, 0.01])
+    before, after = (function(at + sign * step) for sign in (-1.0, 1.0))
+    ends = [2.0 * x[1] - x[0] for x in (before, after)]  # as lines, whose bends are less than what is allowed
+    assert abs(ends[1] - ends[0]) < 2e-5
+
+
+@pytest.mark.parametrize("thing", ["ellipsoid", "capsule"])
+def test_sound_that_comes_back_along_the_normal_has_no_plane_of_incidence(thing: str) -> None:
+    """A source and a receiver that turn about a body's axis, and one that crosses it: the echo does not jump."""
+    make = {
+        "ellipsoid": lambda: clsim.Scatterer.ellipsoid("b", (0.02, 0.05, 0.09), clsim.Trajectory.fixed((0.0, 0.0, 0.0))),
+        "capsule": lambda: clsim.Scatterer.capsule("b", 0.02, 0.1, clsim.Trajectory.fixed((0.0, 0.0, 0.0))),
+    }[thing]
+    shape, wave = make().shape, np.array([2.0 * np.pi * 40e3 / C])
+    turn, lean = np.linspace(0.0, 2.0 * np.pi, 25), np.array([0.0, 1e-9, 1e-7, 1e-5])
+    ends = np.stack([1.0 + 0.0 * np.outer(lean, turn), np.outer(lean, np.cos(turn)), np.outer(lean, np.sin(turn))])
+    source = ends.reshape(3, -1)
+    receiver = source * np.array([[1.0], [-1.0], [-1.0]])
+    strength, aspects = shape.strength(source, receiver, None)
+    echo = strength * shape.field(wave, float(wave[0]), aspects)[:, 0]
+    assert np.abs(echo - echo[0]).max() < 1e-6 * abs(echo[0])

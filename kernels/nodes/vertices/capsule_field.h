@@ -88,8 +88,9 @@ static double capsule_field(const vertex_tables* t, const scatterer_frame* g, tr
     const float main = (float)(obliquity(0.5 * pressed, outlined) / sqrt(bend));
     for (int b = 0; b < BIN_VECTORS; b++) field->part[0][b] += main;
     if (!outlined) return 1.0 / sqrt(OF_NODE(here.steep, lane));
-    const triples away = apart(place, g->source), tangent = apart(away, scaled(DOT(normal, away), normal));
-    const reals aslant = DOT(around, tangent), around_share = aslant * aslant / larger(DOT(tangent, tangent), (reals)LEAST);
+    const triples away = apart(place, g->source);
+    const reals aslant = DOT(around, away), pressed_by = DOT(normal, away);
+    const reals around_share = (aslant * aslant + (reals)0.5 * pressed_by * pressed_by) / larger(DOT(away, away), (reals)LEAST);
     const double r = OF_NODE(radius, lane), end = OF_NODE(g->scale.z, lane), z = OF_NODE(place.z, lane);
     const double share = 1.0 - (1.0 - OF_NODE(around_share, lane)) * faded((fabs(z) - end + r) / r, 0.0, CAP_FADE);
     const double curvature = fmax(share / r, r / (end * end));

@@ -26,11 +26,11 @@ static void fock_hard(__global const double* table, reals xi, reals* real, reals
 // Reflection near grazing incidence over the mirror's, `lit_reflection`.
 static void lit_reflection(__global const double* table, double xi, float* real, float* imaginary)
 {
-    const double low = fmin(xi, FOCK_FIRST), over = 1.0 / (low * low * low);
+    const double low = fmin(xi, FOCK_FIRST), over = 1.0 / (low * low * low), squared = over * over;
     double x, y;
     from_table(table + 2 * FOCK_COUNT, fmin(fmax(xi, FOCK_FIRST), FOCK_LAST), &x, &y);
-    *real = (float)(xi < FOCK_FIRST ? 1.0 - 20.0 * over * over : x);
-    *imaginary = (float)(xi < FOCK_FIRST ? -2.0 * over : y);
+    *real = (float)(xi < FOCK_FIRST ? 1.0 - squared * (28.0 - 43120.0 * squared) : x);
+    *imaginary = (float)(xi < FOCK_FIRST ? -2.0 * over * (1.0 - 448.0 * squared) : y);
 }
 
 #if VERTEX == SHADE

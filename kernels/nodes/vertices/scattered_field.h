@@ -11,10 +11,13 @@ static double ellipsoid_field(const vertex_tables* t, const scatterer_frame* g, 
     reals cosine;
     const reals mirrored = specular_strength(g, u, &cosine);
     const triples normal = {u.x / g->scale.x, u.y / g->scale.y, u.z / g->scale.z}, away = apart(along_axes(g->scale, u), g->source);
-    const reals squared = DOT(normal, normal);
-    const triples tangent = apart(away, scaled(DOT(normal, away) / squared, normal));
+    const reals squared = DOT(normal, normal), facing = DOT(normal, away), pressed = facing * facing / squared;
+    const triples tangent = apart(away, scaled(facing / squared, normal));
     const triples over = {tangent.x / g->scale.x, tangent.y / g->scale.y, tangent.z / g->scale.z};
-    const reals curvature = DOT(over, over) / (root(squared) * larger(DOT(tangent, tangent), (reals)LEAST));
+    const triples bent = {normal.x / g->scale.x, normal.y / g->scale.y, normal.z / g->scale.z};
+    const triples sharp = {1.0 / g->scale.x, 1.0 / g->scale.y, 1.0 / g->scale.z};
+    const reals mean = (reals)0.5 * (DOT(sharp, sharp) - DOT(bent, bent) / squared);
+    const reals curvature = (DOT(over, over) + mean * pressed) / (root(squared) * larger(DOT(away, away), (reals)LEAST));
     const double3 axes = {seen->semi_axes[0], seen->semi_axes[1], seen->semi_axes[2]};
     const double longest = fmax(axes.x, fmax(axes.y, axes.z)), flattest = fmin(axes.x, fmin(axes.y, axes.z)) / (longest * longest);
     for (int b = 0; b < BIN_VECTORS; b++) field->part[0][b] = 1.0f, field->part[1][b] = 0.0f;

@@ -9,7 +9,7 @@ static double clearance_of(const outline* o, double* share)
     if (o->is_capsule) {
         const double straight = o->axes[2] - o->axes[0];
         const double level = dot_of(along, along), slope = along[2], length = dot_of(o->source, along);
-        const double parted = fmax(level - slope * slope, 1e-12 * level);
+        const double parted = fmax(level - slope * slope, 1e-12 * level + TINY);
         double height = fmin(fmax((o->source[2] * level - slope * length) / parted, -straight), straight);
         *share = fmin(fmax((height * slope - length) / fmax(level, TINY), 0.0), 1.0);
         height = fmin(fmax(o->source[2] + *share * slope, -straight), straight);
