@@ -220,7 +220,9 @@ def test_series_go_on_where_tables_end(function: Callable[..., np.ndarray], at: 
 def test_sound_that_comes_back_along_the_normal_has_no_plane_of_incidence(thing: str) -> None:
     """A source and a receiver that turn about a body's axis, and one that crosses it: the echo does not jump."""
     make = {
-        "ellipsoid": lambda: clsim.Scatterer.ellipsoid("b", (0.02, 0.05, 0.09), clsim.Trajectory.fixed((0.0, 0.0, 0.0))),
+        "ellipsoid": lambda: clsim.Scatterer.ellipsoid(
+            "b", (0.02, 0.05, 0.09), clsim.Trajectory.fixed((0.0, 0.0, 0.0))
+        ),
         "capsule": lambda: clsim.Scatterer.capsule("b", 0.02, 0.1, clsim.Trajectory.fixed((0.0, 0.0, 0.0))),
     }[thing]
     shape, wave = make().shape, np.array([2.0 * np.pi * 40e3 / C])
