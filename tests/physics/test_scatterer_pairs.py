@@ -165,3 +165,21 @@ def test_what_is_not_supported_is_refused() -> None:
         clsim.find_paths(scene, 0, scatterers_in_row=2)
     with pytest.raises(clsim.InputError, match="scatterers_in_row: must be from 1 to 2, but is 3"):
         clsim.find_paths(scene, 0, scatterers_in_row=3)
+
+
+def test_what_rests_is_heard_as_it_is_in_the_table(device: None, measured: Callable[..., float]) -> None:
+    """A ball and an ellipsoid 0.3 m apart: the default call convolves an impulse response, the table solves delays."""
+    things = [
+        clsim.Scatterer.sphere("ball", 0.05, FIXED((2.5, 1.6, 1.1))),
+        clsim.Scatterer.ellipsoid("arm", (0.05, 0.1, 0.2), FIXED((2.8, 1.6, 1.2))),
+    ]
+    walls = clsim.Material.from_reflection(0.8)
+    room = clsim.MeshRoom.from_plan([(0, 0), (4.5, 0), (4.5, 3.4), (0, 3.4)], 2.6, walls)
+    paths = pairs(found(things, (FIXED((1.0, 1.2, 1.1)), FIXED((3.2, 1.9, 1.3))), 1, room))
+    samples = np.arange(round(0.05 * RATE), round(0.06 * RATE), 7)
+    table = paths.table(samples[:1] / RATE)
+    tone = np.exp(2j * np.pi * TONE * (samples / RATE - table.delay - 0.25 / TONE))
+    wanted = np.sum(np.real(table.gain * tone), axis=0)
+    heard = clsim.render(paths, RATE, duration=0.06).pressure[0, samples]
+    error = decibels(float(np.linalg.norm(heard - wanted) / np.linalg.norm(wanted)))
+    measured("two scatterers at rest, convolved", "gains and delays of the table", error, -80.0)

@@ -27,7 +27,7 @@ from clsim.scene.ends import Receiver, Source
 from clsim.scene.scatterer import Scatterer
 from clsim.scene.scene import Scene
 
-_ROUNDS, _CLOSE, _CONVERGED = 80, 1e-9, 1e-3  # of Newton's method; s and rad that end it, as for one scatterer
+_ROUNDS, _CLOSE, _CONVERGED = 80, 1e-9, 1e-3  # of finding both; s and rad that end it, as for one scatterer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,7 +209,7 @@ def _solved(links: Links, ends: PairEnds, times: Floats, retarded: bool) -> _Sol
             change[0] = (change[0] + (change[1] + change[2]) * (mach - coming[0])) / (1.0 - mach)
         delays = delays + change
         converged = max(body.change for body in bodies) <= _CONVERGED
-        if converged and (not retarded or np.abs(change).max(initial=0.0) <= _CLOSE):
+        if converged and np.abs(change).max(initial=0.0) <= _CLOSE:
             fields = zip(*(body.strength(shape) for body in bodies), strict=True)
             return _SolvedPath(legs, delays, mach, coming, leaving, (first, second), *fields)
     names = " and ".join(repr(scatterer.name) for scatterer in scatterers)
