@@ -349,7 +349,7 @@ def _solved(links: Links, times: Floats, retarded: bool) -> _SolvedPath:
             change[1] = change[1] / (1.0 - leaving)
             change[0] = (change[0] + change[1] * (mach - coming)) / (1.0 - mach)
         delays = delays + change
-        if done and body.change <= _CONVERGED and (not retarded or np.abs(change).max(initial=0.0) <= _CLOSE):
+        if done and body.change <= _CONVERGED and np.abs(change).max(initial=0.0) <= _CLOSE:
             departure, arrival = sides.leaving(0, source, coming_to), sides.leaving(1, receiver, -onwards)
             return _SolvedPath(
                 delays, (first, second), (source.over, receiver.over), (source.towards, receiver.towards), departure,
