@@ -37,6 +37,7 @@ class PairTracks:
     end: Floats  # likewise
     channels: range = range(1)  # of the receiver: those that have the delays
     tapers: Tapers | None = None  # slow weights of the paths, beside their transitions; None for 1
+    silent_ends: bool = False  # whether nothing is heard of paths where they begin or end
 
     def __len__(self) -> int:
         return len(self.start)
@@ -45,6 +46,11 @@ class PairTracks:
     def always_audible(self) -> bool:
         """Whether no path begins or ends."""
         return bool(np.all(np.isneginf(self.start)) and np.all(np.isposinf(self.end)))
+
+    @property
+    def fades(self) -> bool:
+        """Whether any path begins or ends while it is heard."""
+        return not (self.silent_ends or self.always_audible)
 
 
 class Tracks(ABC):
@@ -436,7 +442,8 @@ def track(
         receiver, family = scene.receivers[of_pair.receiver], of_pair.family
         start, end = (clock_time(receiver, times[of_pair.rows]) for times in (family.start, family.end))
         for group in of_pair.by_delay():
-            pairs.append(PairTracks(of_pair.source, of_pair.receiver, start, end, group.channels or range(1)))
+            channels, silent = group.channels or range(1), family.silent_ends
+            pairs.append(PairTracks(of_pair.source, of_pair.receiver, start, end, channels, silent_ends=silent))
             pair_paths.append(group)
     # Speeds are sampled; 2 % covers what lies between the samples.
     source_speed, receiver_speed = (
