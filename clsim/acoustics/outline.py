@@ -349,6 +349,12 @@ def counts_of_points(outline: Outline, wave: float, source: Floats, receiver: Fl
     return np.asarray(counts[np.minimum(step, len(limits) - 1)])
 
 
+def eased(x: Floats, ends: tuple[float, float]) -> Floats:
+    """Go from 1 at the first of two numbers to 0 at the second, with a continuous second derivative."""
+    part = np.clip((x - ends[1]) / (ends[0] - ends[1]), 0.0, 1.0)
+    return np.asarray(part**3 * (10.0 + part * (6.0 * part - 15.0)))
+
+
 def faded(x: Floats, ends: tuple[float, float]) -> Floats:
     """Go from 1 at the first of two numbers to 0 at the second, smoothly."""
     part = np.clip((x - ends[1]) / (ends[0] - ends[1]), 0.0, 1.0)

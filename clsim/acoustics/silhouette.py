@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.fock import fock_hard, lit_reflection
-from clsim.acoustics.outline import LEAST, Outline, OutlinePoints, counts_of_points, faded
+from clsim.acoustics.outline import LEAST, Outline, OutlinePoints, counts_of_points, eased, faded
 from clsim.acoustics.scattering import SpecularPoint
 from clsim.arrays import Complexes, Floats
 from clsim.numerics.band_filters import chebyshev_points, interpolation
@@ -75,9 +75,9 @@ def forward_share(outline: Outline, centre: float, source: Floats, receiver: Flo
     clearance, place = (x[:, None] for x in outline.clearance(source, receiver))
     twice = 2.0 * np.linalg.norm(receiver - source, axis=1)[:, None] * place * (1.0 - place)  # of d1 d2 / L
     beyond = np.maximum(clearance, 0.0)
-    share = faded(beyond / np.maximum(twice, LEAST), FORWARD_COSINE)
+    share = eased(beyond / np.maximum(twice, LEAST), FORWARD_COSINE)
     zones = beyond * np.sqrt(centre / (math.pi * np.maximum(twice, LEAST)))
-    return np.asarray(share * faded(zones, (WITHIN, 2.0 * WITHIN)))
+    return np.asarray(share * eased(zones, (WITHIN, 2.0 * WITHIN)))
 
 
 def silhouette_field(
