@@ -59,9 +59,9 @@ static void add_points(const vertex_tables* t, const outline_points* p, double s
     const reals beside = p->beside * p->beside, once = p->step / (2.0 * HALF_TURN);
     const reals inside = p->source < 0.0 && p->receiver > 0.0 ? -p->depth : (reals)0.0;
     const reals detour = quick_root(of_points.source * of_points.source + beside) + quick_root(of_points.receiver * of_points.receiver + beside) - sight;
-    const reals screens = once * inside / (inside * inside + beside + TINY), offset = of_points.offset;
-    const reals edges = once * of_points.width * offset / (offset * offset + beside + TINY);
-    const reals curves = p->step * of_points.width * of_points.curve / (of_points.apart * sqrt(HALF_TURN));
+    const reals offset = of_points.offset, far = inside * inside + beside + TINY, off = offset * offset + beside + TINY;
+    const reals each = once / (far * off), screens = inside * off * each, edges = of_points.width * offset * far * each;
+    const reals curves = p->step * of_points.width * of_points.curve * of_points.nearness * (1.0 / sqrt(HALF_TURN));
     reals real[KNOWN_AT], imaginary[KNOWN_AT];
     for (int m = 0; m < KNOWN_AT; m++) {
         const double root_of_wave = roots->middle + roots->reach * OF_CHEBYSHEV[m], squared = root_of_wave * root_of_wave;
