@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.acoustics.outline import CapsuleOutline
+from clsim.acoustics.outline import CapsuleOutline, EllipsoidOutline, Outline
 from clsim.acoustics.shade import LOUDEST_SHADE, shade
 from clsim.acoustics.silhouette import WITHIN
 from clsim.arrays import Floats
@@ -128,23 +128,26 @@ def _shade(
 ) -> None:  # fmt: skip
     """Multiply pressures (n, F) of sound between ends (n, 3), m, at times (n,), s, by the shades of bodies.
 
-    Shades of capsules are found together.
+    Shades of capsules are found together, and so are those of ellipsoids.
     """
-    near = [_near(scatterer, waves[1], ends, times) for scatterer in casting]
-    capsules = [i for i, scatterer in enumerate(casting) if isinstance(scatterer.shape, CapsuleShape)]
-    for some in (capsules, *([i] for i in range(len(casting)) if i not in capsules)):
-        counts = np.array([len(near[i][0]) for i in some], dtype=np.int64)
+    for kind in {type(scatterer.shape): None for scatterer in casting}:
+        some = [scatterer for scatterer in casting if isinstance(scatterer.shape, kind)]
+        near = [_near(scatterer, waves[1], ends, times) for scatterer in some]
+        counts = np.array([len(rows) for rows, _, _ in near], dtype=np.int64)
         if not counts.sum():
             continue
-        outlines: list[Any] = [casting[i].shape for i in some]
-        outline = outlines[0].outline
-        if len(some) > 1:
-            sizes = np.array([[shape.cylinder_radius, 0.5 * shape.length] for shape in outlines])
-            outline = CapsuleOutline(*sizes.repeat(counts, axis=0).T)
-        begin, end = (np.concatenate([near[i][which] for i in some]) for which in (1, 2))
-        factors = np.split(shade(outline, *waves, begin, end), np.cumsum(counts)[:-1])
-        for i, factor in zip(some, factors, strict=True):
-            passed[near[i][0]] *= factor
+        begin, end = (np.concatenate([seen[which] for seen in near]) for which in (1, 2))
+        factors = np.split(shade(_outlines(some, counts), *waves, begin, end), np.cumsum(counts)[:-1])
+        for (rows, _, _), factor in zip(near, factors, strict=True):
+            passed[rows] *= factor
+
+
+def _outlines(scatterers: list[Scatterer], counts: NDArray[np.int64]) -> Outline:
+    """Outlines of bodies of one kind, each as often as lines of sight pass it."""
+    sizes = np.array([scatterer.shape.semi_axes for scatterer in scatterers]).repeat(counts, axis=0)
+    if isinstance(scatterers[0].shape, CapsuleShape):
+        return CapsuleOutline(sizes[:, 0], sizes[:, 2] - sizes[:, 0])
+    return EllipsoidOutline(sizes)
 
 
 def _near(
