@@ -202,7 +202,7 @@ class _Rows:
         apart = length + max(_MERGED, until / _MOST_ROWS)
         new = (np.diff(path[part], prepend=-1) != 0) | (np.diff(time, prepend=-np.inf) > apart)
         row, first = np.cumsum(new) - 1, np.flatnonzero(new)
-        last = np.append(first[1:], len(time)) - 1
+        last = np.append(first, len(time))[1:] - 1
         # Half a stretch more: what fades where a row begins and ends has nothing to take away.
         start, end = time[first] - length, time[last] + length
         start[start <= 0.0], end[end >= until] = -np.inf, np.inf
