@@ -7,7 +7,6 @@ balls for a stretch of time. Where the balls come near each other, the stretch i
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -28,7 +27,6 @@ _DIVIDED = 4  # parts of a stretch
 _LONGEST = 0.05  # s, of a stretch in which it is not looked any closer when a body is near
 _MERGED, _MOST_ROWS = 0.1, 256  # s between two rows of a path that are one, and about the most rows of a path
 _SPARE = 1.02  # of the zones: lengths that a moving body sees differ by its Mach number
-_TOGETHER = 1 << 16  # parts of paths that are looked at together
 
 Parts = tuple[list[tuple[int, ...]], Floats, Floats]  # walls before each part, and the isometry by these
 
@@ -39,7 +37,7 @@ def shaded_paths(scene: Scene, paths: Chain, order: int) -> Chain:
     paths = paths.part(np.flatnonzero(paths.order <= order))
     known: dict[tuple[int, ...], Parts] = {}
     balls = _Balls.of(scene, paths)
-    found = [_Rows.of(balls, *some, known) for pair in paths.pairs() for some in _in_pieces(scene, pair, known)]
+    found = [_Rows.of(balls, pair, known) for pair in paths.pairs()]
     if not found:
         return paths
     rows, start, end, count = (np.concatenate([getattr(f, x) for f in found]) for x in ("path", "start", "end", "count"))
@@ -62,21 +60,6 @@ def shaded_paths(scene: Scene, paths: Chain, order: int) -> Chain:
         start=read_only(start), end=read_only(end),
     )  # fmt: skip
     return shaded
-
-
-def _in_pieces(
-    scene: Scene, pair: PairPaths, known: dict[tuple[int, ...], Parts]
-) -> Iterator[tuple[PairPaths, NDArray[np.int64], list[tuple[int, ...]]]]:
-    """Yield paths of a pair, by their rows, and their walls, as many as have about `_TOGETHER` parts."""
-    family: Any = pair.family
-    walls = [tuple(x for x in met if x >= 0) for met in family.walls[pair.rows].tolist()]
-    for met in dict.fromkeys(walls):
-        if met not in known:
-            known[met] = parts_of(met, scene)
-    piece = np.cumsum([len(known[met][0]) for met in walls]) // _TOGETHER
-    for which in np.unique(piece):
-        mine = np.flatnonzero(piece == which)
-        yield pair, pair.index[mine], [walls[i] for i in mine.tolist()]
 
 
 def parts_of(walls: tuple[int, ...], scene: Scene) -> Parts:
@@ -187,12 +170,14 @@ class _Rows:
     offset: Floats  # (parts, 3)
 
     @classmethod
-    def of(
-        cls, balls: _Balls, pair: PairPaths, index: NDArray[np.int64], walls: list[tuple[int, ...]],
-        known: dict[tuple[int, ...], Parts],
-    ) -> _Rows:  # fmt: skip
-        """Find the rows of some paths of a pair, with their walls, by the parts that are known of these."""
-        each, until = [known[met] for met in walls], balls.until
+    def of(cls, balls: _Balls, pair: PairPaths, known: dict[tuple[int, ...], Parts]) -> _Rows:
+        """Find the rows of the paths of a pair; parts of paths are remembered by their walls."""
+        family, index, until = pair.family, pair.index, balls.until
+        walls = [tuple(x for x in met if x >= 0) for met in family.walls[index].tolist()]
+        for met in walls:
+            if met not in known:
+                known[met] = parts_of(met, family.scene)
+        each = [known[met] for met in walls]
         path = np.repeat(np.arange(len(each)), [len(parts[0]) for parts in each])
         number = np.concatenate([np.arange(len(parts[0])) for parts in each])
         lines = _Lines.of(balls, pair, index[path], *(np.concatenate([parts[i] for parts in each]) for i in (1, 2)))
@@ -206,14 +191,14 @@ class _Rows:
         # Half a stretch more: what fades where a row begins and ends has nothing to take away.
         start, end = time[first] - length, time[last] + length
         start[start <= 0.0], end[end >= until] = -np.inf, np.inf
-        family, mine = pair.family, index[path[part[first]]]
+        mine = index[path[part[first]]]
         start, end = np.maximum(start, family.start[mine]), np.minimum(end, family.end[mine])
         there = start < end
         both = np.unique(np.stack([row, part], axis=1)[there[row]], axis=0)
         some = both[:, 1]
         return cls(
             mine[there], start[there], end[there], np.bincount(both[:, 0], minlength=len(first))[there],
-            [walls[p][:0] if not n else each[p][0][n] for p, n in zip(path[some].tolist(), number[some].tolist(), strict=True)],
+            [each[p][0][n] for p, n in zip(path[some].tolist(), number[some].tolist(), strict=True)],
             lines.matrix[some], lines.offset[some],
         )  # fmt: skip
 
