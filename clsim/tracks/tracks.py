@@ -218,6 +218,7 @@ class SceneTracks(Tracks):
     receiver_names: tuple[str, ...]
     # By start, end and source: filters, chunks and memory ask for the same ones.
     _longest: dict[tuple[float, float, int | None], float] = field(default_factory=dict, init=False)
+    _rates: dict[int, float] = field(default_factory=dict, init=False)  # by source, likewise
 
     __repr__ = short_repr
 
@@ -312,6 +313,11 @@ class SceneTracks(Tracks):
 
     def max_rate(self, source: int) -> float:
         """Return the bound of the kinds of paths with peak speeds, by the clock of the receiver where it is most."""
+        if source not in self._rates:
+            self._rates[source] = self._max_rate(source)
+        return self._rates[source]
+
+    def _max_rate(self, source: int) -> float:
         fastest, source_speed = 0.0, float(self.speeds.source[source])
         clock_rates = (receiver.clock_rate for receiver in self.paths.scene.receivers)
         for speed, clock_rate in set(zip(self.speeds.receiver.tolist(), clock_rates, strict=True)):

@@ -127,6 +127,9 @@ class PathBatch:
     def fades(self, start: int, block: int, blocks: int) -> Fades | None:
         """Return the beginnings and ends of paths within some blocks from a sample on; None if there are none."""
         found, bounds = [], self.bounds
+        reach, stop = 0.5 * bounds.ramp, start + blocks * block
+        if not any(np.any((x + reach >= start) & (x - reach <= stop)) for x in (bounds.start, bounds.end)):
+            return None
         for place in (bounds.start, bounds.end):
             half = 0.5 * bounds.ramp
             low = np.clip((place - half - start) / block, -1.0, blocks)
