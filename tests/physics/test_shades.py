@@ -7,7 +7,7 @@ import re
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -190,7 +190,7 @@ def test_shadows_on_echoes_are_those_on_images(walls: list[tuple[int, int]]) -> 
         pytest.fail("no such path")
     corners = [source, *mirrors, image]
     bodies = []
-    for begin, end in zip(corners[:-1], corners[1:], strict=True):
+    for begin, end in pairwise(corners):
         leg = (end - begin) / np.linalg.norm(end - begin)
         aside = np.cross(leg, [0.3, 0.5, 0.8])
         bodies.append(0.5 * (begin + end) + 0.09 * aside / np.linalg.norm(aside))

@@ -40,7 +40,9 @@ def shaded_paths(scene: Scene, paths: Chain, order: int) -> Chain:
     found = [_Rows.of(balls, pair, known) for pair in paths.pairs()]
     if not found:
         return paths
-    rows, start, end, count = (np.concatenate([getattr(f, x) for f in found]) for x in ("path", "start", "end", "count"))
+    rows, start, end, count = (
+        np.concatenate([getattr(f, x) for f in found]) for x in ("path", "start", "end", "count")
+    )
     walls = [walls for f in found for walls in f.walls]
     before = np.full((len(walls), order), -1, dtype=np.int32)
     for row, met in zip(before, walls, strict=True):
@@ -121,7 +123,7 @@ class _Balls:
         late = _longest(paths, held(scene.sources, 0.0)[0], receivers[0])
         bodies = held(casting, late, np.array([[body.shape.radius] for body in casting]))
         together = [tuple(x[0] for x in _joined(*(x[None] for x in level))) for level in bodies]
-        return cls(until, held(scene.sources, late), receivers, bodies, together)  # type: ignore[arg-type]
+        return cls(until, held(scene.sources, late), receivers, bodies, together)
 
 
 def _longest(paths: Chain, sources: tuple[Floats, Floats], receivers: tuple[Floats, Floats]) -> float:

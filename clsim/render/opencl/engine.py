@@ -67,20 +67,15 @@ class Run:
     def render(self, level: int = 0) -> None:
         """Add the batch's paths to the pressure on the device, in blocks of a level or shorter ones."""
         segment, first, last = self._plan.segment, self._task.first, self._task.last
-        begin, end = (np.clip(x - self._start, first * segment, last * segment) for x in self._heard)
-        some = end > begin
-        changes = np.zeros(last - first + 1, dtype=np.int64)
+        ends = self._bounds.first, self._bounds.last
+        begin, end = (np.clip(x - self._start, first * segment, last * segment) for x in ends)
+        some, changes = end > begin, np.zeros(last - first + 1, dtype=np.int64)
         np.add.at(changes, begin[some] // segment - first, 1)
         np.add.at(changes, -(-end[some] // segment) - first, -1)
-        active = np.cumsum(changes)[:-1] > 0
+        active = (np.cumsum(changes)[:-1] > 0).astype(np.int64)
         for a, b in equal_runs(active):
-            if active[a]:
+            if active[a]:  # any path
                 self._cover(first + a, first + b, level)
-
-    @property
-    def _heard(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """First sample of each slot with a weight, and the one after the last."""
-        return self._bounds.first, self._bounds.last
 
     def _cover(self, first: int, last: int, level: int) -> None:
         """Render segments `first` to `last` in blocks of a level, or shorter ones where those are too coarse."""
