@@ -197,7 +197,7 @@ def picked_paths(
         at = np.sort(rng.uniform(0.0, last, instants))
         at[[0, -1]] = 0.0, last
         if tracks.pairs[i].silent_ends:
-            at = _while_active(start, end, at, last)
+            at = while_active(start, end, at, last)
         share = max(-(-count // (len(pairs) * instants)), len(start) * whole)
         together = instants if paths.family.one_by_one else max(IN_CACHE // max(len(start), 1), 1)
         for part in (at[i : i + together] for i in range(0, instants, together)):
@@ -214,7 +214,7 @@ def picked_paths(
                 yield Picked(paths.part(rows), found.part(rows[:, None], own), when, scale * weight[rows], first, whole)
 
 
-def _while_active(start: Floats, end: Floats, times: Floats, last: float) -> Floats:
+def while_active(start: Floats, end: Floats, times: Floats, last: float) -> Floats:
     """Carry times (T,) from 0 to the last one, s, to those at which any path is active, from (P,) to (P,)."""
     order = np.argsort(start)
     begin, until = (np.clip(x[order], 0.0, last) for x in (start, end))

@@ -85,6 +85,15 @@ class Boundaries:
         first, last = (np.clip(x - start, -most, most).astype(np.int32) for x in (self.first, self.last))
         return first, last
 
+    def stretches(self, start: int, segment: int, first: int, last: int) -> list[tuple[int, int]]:
+        """Return the stretches of segments, from `first` to `last` of those from a sample on, with any active path."""
+        begin, end = (np.clip(x - start, first * segment, last * segment) for x in (self.first, self.last))
+        some, changes = end > begin, np.zeros(last - first + 1, dtype=np.int64)
+        np.add.at(changes, begin[some] // segment - first, 1)
+        np.add.at(changes, -(-end[some] // segment) - first, -1)
+        active = (np.cumsum(changes)[:-1] > 0).astype(np.int64)
+        return [(first + a, first + b) for a, b in equal_runs(active) if active[a]]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathBatch:

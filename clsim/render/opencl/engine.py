@@ -66,16 +66,8 @@ class Run:
 
     def render(self, level: int = 0) -> None:
         """Add the batch's paths to the pressure on the device, in blocks of a level or shorter ones."""
-        segment, first, last = self._plan.segment, self._task.first, self._task.last
-        ends = self._bounds.first, self._bounds.last
-        begin, end = (np.clip(x - self._start, first * segment, last * segment) for x in ends)
-        some, changes = end > begin, np.zeros(last - first + 1, dtype=np.int64)
-        np.add.at(changes, begin[some] // segment - first, 1)
-        np.add.at(changes, -(-end[some] // segment) - first, -1)
-        active = (np.cumsum(changes)[:-1] > 0).astype(np.int64)
-        for a, b in equal_runs(active):
-            if active[a]:  # any path
-                self._cover(first + a, first + b, level)
+        for first, last in self._bounds.stretches(self._start, self._plan.segment, self._task.first, self._task.last):
+            self._cover(first, last, level)
 
     def _cover(self, first: int, last: int, level: int) -> None:
         """Render segments `first` to `last` in blocks of a level, or shorter ones where those are too coarse."""

@@ -293,15 +293,10 @@ class ShadeColumns(_Posed):
         things = [i for i, scatterer in enumerate(vertex.scatterers) if scatterer.shape.outlined]
         casters, parts = np.zeros((len(things), 8)), np.append(vertex.matrix.reshape(-1, 9), vertex.offset, axis=1)
         tables = [*_fock_tables(), np.array([len(things)]), casters.reshape(-1), parts.ravel()]
-        known: dict[tuple[Any, ...], int] = {}  # of left and right limbs alike
         for caster, thing in zip(casters, things, strict=True):
-            shape = vertex.scatterers[thing].shape
-            alike = shape.kind, *shape.semi_axes.tolist()
-            if alike not in known:
-                known[alike] = sum(table.size for table in tables)
-                tables.append(self._points(shape.outline, waves, known[alike]))
-            place = known[alike], shape.radius
-            caster[:] = [thing, shape.kind == "capsule", self._turned[thing], *shape.semi_axes, *place]
+            shape, start = vertex.scatterers[thing].shape, sum(table.size for table in tables)
+            caster[:] = [thing, shape.kind == "capsule", self._turned[thing], *shape.semi_axes, start, shape.radius]
+            tables.append(self._points(shape.outline, waves, start))
         found = self._of.uploaded(field_tables=waves.astype(np.float32), modes=np.concatenate(tables))
         return found | {"faces": None}
 
