@@ -49,9 +49,14 @@ def lit_reflection(xi: Floats) -> Complexes:
     -0.5 and ``1 - 2 j / xi^3 - 28 / xi^6 + 896 j / xi^9 + 43120 / xi^12`` below, to 6e-6 (Pathak, Burnside, Marhefka
     1980, eq. 26, outside the transition of the incident field). The last three numbers are our own fit to the integral.
     """
-    over = np.minimum(xi, FIRST) ** -3.0
-    far = 1.0 - over**2 * (28.0 - 43120.0 * over**2) - 2j * over * (1.0 - 448.0 * over**2)
-    return np.where(xi < FIRST, far, _interpolated(lit_table(), np.clip(xi, FIRST, LAST)))
+    found = np.empty(np.shape(xi), dtype=np.complex128)
+    beyond = xi < FIRST
+    low = xi[beyond]
+    over = 1.0 / (low * low * low)
+    squared = over * over
+    found[beyond] = 1.0 - squared * (28.0 - 43120.0 * squared) - 2j * (over * (1.0 - 448.0 * squared))
+    found[~beyond] = _interpolated(lit_table(), np.minimum(xi[~beyond], LAST))
+    return found
 
 
 @lru_cache(maxsize=1)

@@ -6,6 +6,7 @@ Geometry is that of the body's own frame, m, with its centre at the origin.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar, Protocol
@@ -55,12 +56,12 @@ class Outline(Protocol):
         ...
 
     @property
-    def fewest(self) -> float:
-        """Points where the phase is the same all along the outline."""
+    def fewest(self) -> Any:
+        """Points where the phase is the same all along the outline; this and the next also of each line of sight."""
         ...
 
     @property
-    def sharpness(self) -> float:
+    def sharpness(self) -> Any:
         """Points, of the fewest and of the most, because the outline has sharp ends."""
         ...
 
@@ -90,40 +91,40 @@ class Outline(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EllipsoidOutline:
-    """The outline of an ellipsoid with semi-axes (3,) m."""
+    """The outline of an ellipsoid with semi-axes (3,), m, or those of each line of sight (n, 3)."""
 
     semi_axes: Floats
 
     @property
-    def sharpness(self) -> float:
+    def sharpness(self) -> Any:
         """Points because edge-on the outline has sharp ends."""
-        ratio = float(self.semi_axes.max() / self.semi_axes.min())
-        return max(min(OF_FLATNESS * ratio, FLATTEST) - FEWEST_OF_ELLIPSOID, 0.0)
+        ratio = self.largest / self.semi_axes.min(axis=-1)
+        return np.maximum(np.minimum(OF_FLATNESS * ratio, FLATTEST) - FEWEST_OF_ELLIPSOID, 0.0)
 
     @property
-    def fewest(self) -> float:
+    def fewest(self) -> Any:
         """Points where the phase is the same all along the outline."""
         return FEWEST_OF_ELLIPSOID + self.sharpness
 
     @property
-    def largest(self) -> float:
+    def largest(self) -> Any:
         """Longest semi-axis, m."""
-        return float(self.semi_axes.max())
+        return self.semi_axes.max(axis=-1)
 
     def turning(self, source: Floats, receiver: Floats) -> Floats:
         """Rates ``((A^2 - B^2) / 2 + y A) (1 / t1 + 1 / t2)`` (n,), m, with the semi-axes A and B of the outline."""
         sight, one, other = _frame(source, receiver)
         squared = self.semi_axes**2
-        first, both, second = one**2 @ squared, (one * other) @ squared, other**2 @ squared
+        first, both, second = (_dot(x * y, squared) for x, y in ((one, one), (one, other), (other, other)))
         half = np.hypot(0.5 * (first - second), both)
-        reach = np.sqrt(np.maximum(sight**2 @ squared - 1.0 / (sight**2 @ (1.0 / squared)), 0.0))
-        beside = np.hypot(np.sum(source * one, axis=1), np.sum(source * other, axis=1))
+        reach = np.sqrt(np.maximum(_dot(sight**2, squared) - 1.0 / _dot(sight**2, 1.0 / squared), 0.0))
+        beside = np.hypot(_dot(source, one), _dot(source, other))
         long = np.sqrt(0.5 * (first + second) + half)
         return np.asarray((half + beside * long) * _nearness(self.largest, reach, sight, (source, receiver)))
 
     def part(self, rows: NDArray[np.int64]) -> EllipsoidOutline:
-        """Return the same for any lines of sight."""
-        return self
+        """Return that of some lines of sight."""
+        return EllipsoidOutline(self.semi_axes[rows]) if self.semi_axes.ndim > 1 else self
 
     def table(self, count: int) -> Floats:
         """Cosine and sine of the eccentric angle, and the share of a turn, of points (6, count)."""
@@ -143,7 +144,7 @@ class EllipsoidOutline:
             share = np.clip(np.sum((foot - source) * along / scale, axis=1) / level, 0.0, 1.0)
             nearest, scale = source + share[:, None] * along, np.ones(3)
             bent = nearest / (squared + lift)
-            size = np.sqrt(bent**2 @ squared)[:, None]
+            size = np.sqrt(_dot(bent**2, squared))[:, None]
             slope = np.sum(squared * bent**2 / (squared + lift), axis=1, keepdims=True)
             lift = np.maximum(lift + (size - 1.0) * size**2 / np.maximum(slope, LEAST), 0.0)
             foot = nearest * squared / (squared + lift)
@@ -155,24 +156,24 @@ class EllipsoidOutline:
         With the projection B of the squared axes that ellipse is the root of B times a unit circle.
         """
         sight, one, other = _frame(source, receiver)
-        squared = self.semi_axes**2
-        first, both, second = one**2 @ squared, (one * other) @ squared, other**2 @ squared
+        squared, pairs = self.semi_axes**2, ((one, one), (one, other), (other, other))
+        first, both, second = wide = [_dot(x * y, squared)[:, None] for x, y in pairs]
         area = np.sqrt(first * second - both**2)
         size = np.sqrt(first + second + 2.0 * area)
         cosine, sine, _, _, _, share = self.table(count)
-        column = [x[:, None] for x in (first + area, both, second + area)]
-        speed = np.hypot(column[1] * cosine - column[0] * sine, column[2] * cosine - column[1] * sine) / size[:, None]
-        slanted = column[2] * cosine - column[1] * sine, column[0] * sine - column[1] * cosine
-        slanted = tuple(x / np.hypot(*slanted) for x in slanted)
-        normal = slanted[0][..., None] * one[:, None] + slanted[1][..., None] * other[:, None]
-        along = slanted[0][..., None] * other[:, None] - slanted[1][..., None] * one[:, None]
-        support = np.sqrt(normal**2 @ squared)
-        place = normal * squared / support[..., None]
-        return _placed(
-            (normal, along, place), (sight, source, receiver), support,
-            (normal**2 @ (1.0 / squared), np.einsum("npi,ni->np", normal, sight / squared),
-             np.broadcast_to((sight**2 @ (1.0 / squared))[:, None], support.shape)),
-            share * speed,
+        a, b, c = (second + area) * cosine - both * sine, (first + area) * sine - both * cosine, (first + area) * sine
+        speed = np.hypot(both * cosine - c, a) / size
+        length = np.hypot(a, b)
+        u, v = a / length, b / length
+        support = np.sqrt(_quadratic(wide, u, v))
+        slant = [_dot(axis * sight, squared)[:, None] for axis in (one, other)]
+        up = (slant[0] * u + slant[1] * v) / support
+        across = ((wide[2] - wide[0]) * u * v + wide[1] * (u * u - v * v)) / support
+        sharp = [_dot(x * y, 1.0 / squared)[:, None] for x, y in (*pairs, (one, sight), (other, sight), (sight, sight))]
+        along, aside, behind, ahead = _seen((sight, one, other), source, receiver)
+        return OutlinePoints(
+            support, _quadratic(sharp, u, v), sharp[3] * u + sharp[4] * v, np.broadcast_to(sharp[5], u.shape),
+            u * along + v * aside - support, behind - up, ahead - up, u * aside - v * along - across, share * speed,
         )  # fmt: skip
 
 
@@ -240,19 +241,16 @@ class CapsuleOutline:
         sine = np.hypot(sight[:, 0], sight[:, 1])
         half = self._apart(sine)[:, None]
         cosine, rise, sign, on_side, at, share = self.table(count)
-        u, v = (sign * cosine)[:, None], (sign * rise)[:, None]
-        normal = u * one[:, None] + v * other[:, None]
-        along = u * other[:, None] - v * one[:, None]
-        radius = np.reshape(self.radius, (-1, 1))
-        place = radius[..., None] * normal
-        place[..., 2] += sign * at * half
-        curved, straight = (
-            np.broadcast_to(1.0 / radius**2, normal.shape[:2]),
-            np.maximum(sine**2, (self.radius / self.largest) ** 2),
-        )
-        return _placed(
-            (normal, along, place), (sight, source, receiver), np.broadcast_to(radius, curved.shape),
-            (curved, np.zeros_like(curved), np.where(on_side > 0.0, straight[:, None] * curved, curved)),
+        u, v, up = sign * cosine, sign * rise, sign * at * half  # of the half circle, along the axis
+        radius = np.broadcast_to(np.reshape(self.radius, (-1, 1)), up.shape)
+        along, aside, behind, ahead = _seen((sight, one, other), source, receiver)
+        upright, slanted, forward = (axis[:, 2:] for axis in (one, other, sight))
+        curved = 1.0 / radius**2
+        straight = np.maximum(sine**2, (self.radius / self.largest) ** 2)[:, None]
+        return OutlinePoints(
+            radius, curved, np.zeros_like(up), np.where(on_side > 0.0, straight * curved, curved),
+            u * along + v * aside - radius - up * (u * upright + v * slanted), behind - up * forward,
+            ahead - up * forward, u * aside - v * along - up * (u * slanted - v * upright),
             share * np.where(on_side > 0.0, 2.0 * half * sine[:, None], math.pi * radius),
         )  # fmt: skip
 
@@ -304,20 +302,24 @@ def _frame(source: Floats, receiver: Floats) -> tuple[Floats, Floats, Floats]:
     return sight, one, cross_product(sight, one)
 
 
-def _placed(
-    frames: tuple[Floats, Floats, Floats], line: tuple[Floats, Floats, Floats], support: Floats,
-    form: tuple[Floats, Floats, Floats], step: Floats,
-) -> OutlinePoints:  # fmt: skip
-    """Points with the endpoints in the coordinates of their planes."""
-    normal, along, place = frames
-    sight, source, receiver = line
-    begin, end = source[:, None] - place, receiver[:, None] - place
-    depth = np.einsum("npi,npi->np", normal, begin)
-    behind, ahead = (np.einsum("npi,ni->np", away, sight) for away in (begin, end))
-    return OutlinePoints(support, *form, depth, behind, ahead, np.einsum("npi,npi->np", along, begin), step)
+def _dot(one: Floats, other: Floats) -> Floats:
+    """Products (n,) of vectors (n, 3), or of such and one (3,)."""
+    return np.asarray(np.sum(one * other, axis=-1))
 
 
-def _nearness(largest: float, reach: Floats, sight: Floats, ends: tuple[Floats, Floats]) -> Floats:
+def _quadratic(form: list[Floats], u: Floats, v: Floats) -> Floats:
+    """Values (n, N) of forms (n, 1) of unit vectors across the line of sight."""
+    return np.asarray(form[0] * u * u + 2.0 * form[1] * u * v + form[2] * v * v)
+
+
+def _seen(frame: tuple[Floats, Floats, Floats], source: Floats, receiver: Floats) -> Iterator[Floats]:
+    """Coordinates (n, 1) of the line of sight across it, and of both endpoints along it, m."""
+    sight, one, other = frame
+    for place, axis in ((source, one), (source, other), (source, sight), (receiver, sight)):
+        yield _dot(place, axis)[:, None]
+
+
+def _nearness(largest: Any, reach: Floats, sight: Floats, ends: tuple[Floats, Floats]) -> Floats:
     """Sum ``1 / t`` (n,), 1/m, over distances t of endpoints (n, 3) from outlines that reach so far (n,) along."""
     along = [sign * np.sum(end * sight, axis=1) - reach for sign, end in zip((-1.0, 1.0), ends, strict=True)]
     first, second = (np.maximum(t, NEAREST_END * largest) for t in along)
@@ -347,6 +349,12 @@ def counts_of_points(outline: Outline, wave: float, source: Floats, receiver: Fl
     limits, counts = (np.array(column) for column in zip(*steps_of_points(float(np.max(most))), strict=True))
     step = np.searchsorted(limits, np.minimum(requested, most))
     return np.asarray(counts[np.minimum(step, len(limits) - 1)])
+
+
+def eased(x: Floats, ends: tuple[float, float]) -> Floats:
+    """Go from 1 at the first of two numbers to 0 at the second, with a continuous second derivative."""
+    part = np.clip((x - ends[1]) / (ends[0] - ends[1]), 0.0, 1.0)
+    return np.asarray(part**3 * (10.0 + part * (6.0 * part - 15.0)))
 
 
 def faded(x: Floats, ends: tuple[float, float]) -> Floats:

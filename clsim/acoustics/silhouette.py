@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clsim.acoustics.fock import fock_hard, lit_reflection
-from clsim.acoustics.outline import LEAST, Outline, OutlinePoints, counts_of_points, faded
+from clsim.acoustics.outline import LEAST, Outline, OutlinePoints, counts_of_points, eased, faded
 from clsim.acoustics.scattering import SpecularPoint
 from clsim.arrays import Complexes, Floats
 from clsim.numerics.band_filters import chebyshev_points, interpolation
@@ -75,9 +75,9 @@ def forward_share(outline: Outline, centre: float, source: Floats, receiver: Flo
     clearance, place = (x[:, None] for x in outline.clearance(source, receiver))
     twice = 2.0 * np.linalg.norm(receiver - source, axis=1)[:, None] * place * (1.0 - place)  # of d1 d2 / L
     beyond = np.maximum(clearance, 0.0)
-    share = faded(beyond / np.maximum(twice, LEAST), FORWARD_COSINE)
+    share = eased(beyond / np.maximum(twice, LEAST), FORWARD_COSINE)
     zones = beyond * np.sqrt(centre / (math.pi * np.maximum(twice, LEAST)))
-    return np.asarray(share * faded(zones, (WITHIN, 2.0 * WITHIN)))
+    return np.asarray(share * eased(zones, (WITHIN, 2.0 * WITHIN)))
 
 
 def silhouette_field(
@@ -143,11 +143,12 @@ def outline_field(
     points = outline.points(source, receiver, count)
     sight = points.receiver - points.source
     string = _strings(points)
-    detour = np.hypot(string.source, points.beside) + np.hypot(string.receiver, points.beside) - sight
+    beside = points.beside**2
+    detour = np.sqrt(string.source**2 + beside) + np.sqrt(string.receiver**2 + beside) - sight
     weight = points.step * string.width
     inside = np.where((points.source < 0.0) & (points.receiver > 0.0), -points.depth, 0.0)
-    screen = points.step * inside / (inside**2 + points.beside**2 + LEAST) / (2.0 * math.pi)
-    edge = string.offset / (string.offset**2 + points.beside**2 + LEAST) / (2.0 * math.pi)
+    screen = points.step * inside / (inside**2 + beside + LEAST) / (2.0 * math.pi)
+    edge = string.offset / (string.offset**2 + beside + LEAST) / (2.0 * math.pi)
     smooth = string.curve / np.maximum(string.apart * math.sqrt(math.pi), LEAST)
     # But for the phase all changes slowly with frequency: it is known at few of them.
     roots = np.cbrt(0.5 * wave)  # on which it depends
@@ -229,38 +230,43 @@ class _Strings:
 
 
 def _strings(at: OutlinePoints) -> _Strings:
-    """Strings over ellipses, which affine coordinates about their centres make unit circles."""
+    """Strings over ellipses, which affine coordinates about their centres make unit circles.
+
+    Tangents are as long as those of the circle, times the speed of the ellipse where they touch.
+    """
     skew = at.q_nz / at.q_zz
     bent = at.q_nn - at.q_nz * skew
     over, ahead = at.support * bent, at.support * np.sqrt(bent * at.q_zz)
+    flat, slim = 1.0 / over, 1.0 / ahead
+
+    def slope(cosine: Floats, sine: Floats) -> Floats:
+        up = sine * flat
+        on = cosine * slim + skew * up
+        return np.asarray(np.sqrt(up * up + on * on))
 
     x = 1.0 + over * at.depth
-    tangents, cosines, sines = [], [], []
+    tangents, cosines, sines, slopes = [], [], [], []
     for q, sign in ((at.source, -1.0), (at.receiver, 1.0)):
         y = sign * ahead * (q + skew * at.depth)
         squared = np.maximum(x * x + y * y, 1.0)
         leg = np.sqrt(squared - 1.0)
-        cosine, sine = (x + y * leg) / squared, (y - x * leg) / squared
-        lift = (cosine - 1.0) / over
-        tangents.append(np.hypot(at.depth - lift, q - sign * sine / ahead + skew * lift))
-        cosines.append(cosine)
-        sines.append(sine)
+        cosines.append((x + y * leg) / squared)
+        sines.append((y - x * leg) / squared)
+        slopes.append(slope(cosines[-1], sign * sines[-1]))
+        tangents.append(leg * slopes[-1])
     (c1, c2), (s1, s2) = cosines, sines
     half = 0.5 * np.arctan2(s1 * c2 + c1 * s2, c1 * c2 - s1 * s2)
     middle = np.arctan2(s2, c2) - half
-
-    def slope(cosine: Floats, sine: Floats) -> Floats:
-        return np.hypot(sine / over, cosine / ahead + skew * sine / over)
 
     arc, fock = np.zeros_like(half), np.zeros_like(half)
     for node, weight in zip(_NODES, _WEIGHTS, strict=True):
         turn = middle + half * node
         steep = slope(np.cos(turn), np.sin(turn))
         arc, fock = arc + weight * half * steep, fock + weight * half / steep
-    size = np.cbrt(1.0 / (over * ahead))  # J^(1/3), with the curvature J / slope^3
+    size = np.cbrt(flat * slim)  # J^(1/3), with the curvature J / slope^3
     fock = fock * size * size
-    curve = np.sqrt(slope(c1, -s1) * slope(c2, s2)) / size
-    sharp = SHARP * ((1.0 + skew * skew) / over**2 + 1.0 / ahead**2) / size**4
+    curve = np.sqrt(slopes[0] * slopes[1]) / size
+    sharp = SHARP * ((1.0 + skew * skew) * flat**2 + slim**2) / size**4
     apart = tangents[0] * tangents[1] / (tangents[0] + tangents[1] + LEAST)
     wide = np.sqrt(np.maximum(c1 * c2, 0.0))
     for tangent in tangents:

@@ -257,6 +257,11 @@ class Chain(PathFamily):
         """Whether paths are shadows on others."""
         return self.kind == "static shade"
 
+    @property
+    def silent_ends(self) -> bool:
+        """Whether paths are shadows that begin and end where they take nothing away."""
+        return self.adds and self.vertex.silent_ends
+
     def unshaded(self, rows: Rows, found: Arrivals, times: Floats, at: SceneResponse) -> Floats | Complexes:
         """Return responses (P, T, F) of paths, of those in a shadow as without it."""
         return (replace(self, vertex=None) if self.adds else self).response(rows, found, times, at)

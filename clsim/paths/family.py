@@ -164,6 +164,11 @@ class PathFamily(ABC):
         return False
 
     @property
+    def silent_ends(self) -> bool:
+        """Whether nothing is heard of paths where they begin or end."""
+        return False
+
+    @property
     def one_by_one(self) -> bool:
         """Whether `response` takes an instant of its own for each path: times (P, 1) in place of (T,)."""
         return False

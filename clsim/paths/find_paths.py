@@ -32,8 +32,8 @@ from clsim.paths.search.fades import Fading
 from clsim.paths.search.mesh import mesh_paths, report, resolution_of
 from clsim.paths.search.same_events import at_one_time
 from clsim.paths.search.scatterers import Side, scattered_paths, sides
+from clsim.paths.search.shades import shaded_paths
 from clsim.paths.vertices.scatterer_pair import scatterer_pair_paths
-from clsim.paths.vertices.shade import shaded_paths
 from clsim.paths.without_edges import warn_without_edges, warn_without_shadows
 from clsim.plugins import PATH_FAMILIES, ROOMS, with_plugins
 from clsim.scene.placement import together

@@ -231,7 +231,7 @@ def _jumps(paths: PathSet) -> Iterator[float]:
     scene = paths.scene
     until = known_until([*scene.named_ends(), *scene.named_scatterers(), *scene.named_bodies()])
     for source in range(len(scene.sources)):
-        pairs = [pair for _, pair in paths.pairs() if pair.source == source]
+        pairs = [pair for _, pair in paths.pairs() if pair.source == source and not pair.family.adds]
         if not pairs:
             continue
         start, end = (np.concatenate([getattr(p.family, x)[p.index] for p in pairs]) for x in ("start", "end"))

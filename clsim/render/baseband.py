@@ -156,7 +156,7 @@ def check_ends(scene: Scene) -> None:
 def segmented(tracks: Tracks, sampling_rate: float, carrier: float) -> tuple[int, tuple[int, ...]]:
     """Return the lengths of segments and blocks, samples; warn where paths begin or end faster than envelopes can."""
     samples = tracks.transition * sampling_rate
-    if samples < _RAMP and not all(pair.always_audible for pair in tracks.pairs):
+    if samples < _RAMP and any(pair.fades for pair in tracks.pairs):
         warn(
             f"transition: paths begin and end within {samples:.1f} samples of the envelopes at {sampling_rate:g} Hz, "
             f"which aliases; {_RAMP / sampling_rate:.2g} s or more does not"

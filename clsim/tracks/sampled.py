@@ -196,6 +196,8 @@ def picked_paths(
             paths, start, end = paths.part(some), start[some], end[some]
         at = np.sort(rng.uniform(0.0, last, instants))
         at[[0, -1]] = 0.0, last
+        if tracks.pairs[i].silent_ends:
+            at = while_active(start, end, at, last)
         share = max(-(-count // (len(pairs) * instants)), len(start) * whole)
         together = instants if paths.family.one_by_one else max(IN_CACHE // max(len(start), 1), 1)
         for part in (at[i : i + together] for i in range(0, instants, together)):
@@ -210,6 +212,21 @@ def picked_paths(
                 continue
             for rows, own, when, scale, first in _drawn(level, part, share, rng, together=not paths.family.one_by_one):
                 yield Picked(paths.part(rows), found.part(rows[:, None], own), when, scale * weight[rows], first, whole)
+
+
+def while_active(start: Floats, end: Floats, times: Floats, last: float) -> Floats:
+    """Carry times (T,) from 0 to the last one, s, to those at which any path is active, from (P,) to (P,)."""
+    order = np.argsort(start)
+    begin, until = (np.clip(x[order], 0.0, last) for x in (start, end))
+    begin = np.maximum(begin, np.append(0.0, np.maximum.accumulate(until)[:-1]))  # what is not in the ones before
+    length = np.maximum(until - begin, 0.0)
+    if not length.sum() > 0.0:
+        return times
+    begin, length = begin[length > 0.0], length[length > 0.0]
+    before = np.append(0.0, np.cumsum(length))
+    within = times * (before[-1] / last)
+    which = np.clip(np.searchsorted(before, within, side="right") - 1, 0, len(length) - 1)
+    return np.asarray(begin[which] + np.minimum(within - before[which], length[which]))
 
 
 def _candidates(

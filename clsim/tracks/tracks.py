@@ -37,6 +37,7 @@ class PairTracks:
     end: Floats  # likewise
     channels: range = range(1)  # of the receiver: those that have the delays
     tapers: Tapers | None = None  # slow weights of the paths, beside their transitions; None for 1
+    silent_ends: bool = False  # whether nothing is heard of paths where they begin or end
 
     def __len__(self) -> int:
         return len(self.start)
@@ -45,6 +46,11 @@ class PairTracks:
     def always_audible(self) -> bool:
         """Whether no path begins or ends."""
         return bool(np.all(np.isneginf(self.start)) and np.all(np.isposinf(self.end)))
+
+    @property
+    def fades(self) -> bool:
+        """Whether any path begins or ends while it is heard."""
+        return not (self.silent_ends or self.always_audible)
 
 
 class Tracks(ABC):
@@ -212,6 +218,7 @@ class SceneTracks(Tracks):
     receiver_names: tuple[str, ...]
     # By start, end and source: filters, chunks and memory ask for the same ones.
     _longest: dict[tuple[float, float, int | None], float] = field(default_factory=dict, init=False)
+    _rates: dict[int, float] = field(default_factory=dict, init=False)  # by source, likewise
 
     __repr__ = short_repr
 
@@ -306,6 +313,11 @@ class SceneTracks(Tracks):
 
     def max_rate(self, source: int) -> float:
         """Return the bound of the kinds of paths with peak speeds, by the clock of the receiver where it is most."""
+        if source not in self._rates:
+            self._rates[source] = self._max_rate(source)
+        return self._rates[source]
+
+    def _max_rate(self, source: int) -> float:
         fastest, source_speed = 0.0, float(self.speeds.source[source])
         clock_rates = (receiver.clock_rate for receiver in self.paths.scene.receivers)
         for speed, clock_rate in set(zip(self.speeds.receiver.tolist(), clock_rates, strict=True)):
@@ -436,7 +448,8 @@ def track(
         receiver, family = scene.receivers[of_pair.receiver], of_pair.family
         start, end = (clock_time(receiver, times[of_pair.rows]) for times in (family.start, family.end))
         for group in of_pair.by_delay():
-            pairs.append(PairTracks(of_pair.source, of_pair.receiver, start, end, group.channels or range(1)))
+            channels, silent = group.channels or range(1), family.silent_ends
+            pairs.append(PairTracks(of_pair.source, of_pair.receiver, start, end, channels, silent_ends=silent))
             pair_paths.append(group)
     # Speeds are sampled; 2 % covers what lies between the samples.
     source_speed, receiver_speed = (

@@ -7,6 +7,8 @@ import re
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from shadow_oracle import AIR, MIDDLE, SILENT, PointSources, ellipsoid, errors, 
 
 import clsim
 from clsim.paths.response import SceneResponse
+from clsim.paths.search.shades import parts_of
+from clsim.paths.vertices.shade import ShadeVertex
 from clsim.scene.scene import hidden_by_several
 
 
@@ -129,34 +133,80 @@ def test_shadows_in_a_row_are_told() -> None:
     assert float(time) == pytest.approx(0.0187, abs=2e-3)
 
 
-def test_shadows_on_an_echo_are_those_on_an_image() -> None:
-    """A wall at x = 4 m and a body on each leg: the factor of the echo is that of the image's sound past both bodies."""
-    mirror = [SILENT, clsim.Material.from_reflection(1.0), *[SILENT] * 4]
-    tone, times = clsim.Signal.tone(40e3, 0.02, 192e3), np.array([0.015])
+def shaded(order: int, ends: list[np.ndarray], places: list[np.ndarray], size: float, reflecting: bool) -> complex:
+    """Return the factor by shadows of the loudest path of an order between two ends in a cube about 0, past ellipsoids."""
+    middle = np.full(3, 0.5 * size)
+    wall = clsim.Material.from_reflection(1.0) if reflecting else SILENT
+    bodies = [
+        clsim.Scatterer.ellipsoid(str(i), (0.1, 0.05, 0.2), clsim.Trajectory.fixed(middle + at), shadow=True)
+        for i, at in enumerate(places)
+    ]
+    source, receiver = (clsim.Trajectory.fixed(middle + place) for place in ends)
+    scene = clsim.Scene(
+        clsim.Shoebox((size,) * 3, wall), AIR, [clsim.Source("s", clsim.Signal.tone(40e3, 0.02, 192e3), source)],
+        [clsim.Receiver("r", receiver)], scatterers=bodies,
+    )  # fmt: skip
+    found = clsim.find_paths(scene, order, scattering_order=order).table(np.array([0.06]))
+    of_order = found.order == order
+    plain = np.flatnonzero(of_order & (found.interactions <= 0).all(axis=1))
+    factors = {}
+    for row in np.flatnonzero(of_order & (found.interactions == 5).any(axis=1)):
+        walls = [x for x in found.objects[row].tolist() if x >= 0]
+        alike = [p for p in plain if [x for x in found.objects[p].tolist() if x >= 0] == walls]
+        assert len(alike) == 1
+        factors[tuple(walls)] = complex(found.gain[row, 0] / found.gain[alike[0], 0])
+    return max(factors.values(), key=abs)
 
-    def factor(x: float, size: float, walls: list[clsim.Material], places: list[float], order: int) -> complex:
-        bodies = [
-            clsim.Scatterer.ellipsoid(str(i), (0.1, 0.05, 0.2), clsim.Trajectory.fixed((at, y, 1.5)), shadow=True)
-            for i, (at, y) in enumerate(zip(places, (1.08, 1.9), strict=True))
-        ]
-        ends = [clsim.Trajectory.fixed(place) for place in ((x, 1.0, 1.5), (1.0, 2.4, 1.5))]
-        scene = clsim.Scene(
-            clsim.Shoebox((size, 3.0, 3.0), walls), AIR, [clsim.Source("s", tone, ends[0])],
-            [clsim.Receiver("r", ends[1])], scatterers=bodies,
-        )  # fmt: skip
-        found = clsim.find_paths(scene, order, scattering_order=order).table(times)
-        rows = np.flatnonzero((found.interactions == 5).any(axis=1) & (found.order == order))
-        plain = np.flatnonzero((found.order == order) & (found.interactions <= 0).all(axis=1))
-        gains = [found.gain[which, 0] for which in (rows, plain)]
-        return complex(gains[0][np.abs(gains[0]).argmax()] / gains[1][np.abs(gains[1]).argmax()])
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", clsim.ClsimWarning)
-        # Legs from (1.5, 1, 1.5) by the wall to (1, 2.4, 1.5); the image of the source is at x = 6.5.
-        echo = factor(1.5, 4.0, mirror, [2.0, 2.94], 1)
-        image = factor(6.5, 8.0, [SILENT] * 6, [6.0, 2.94], 0)
-    assert abs(echo) > 0.1
-    assert echo == pytest.approx(image, rel=1e-9)
+@pytest.mark.parametrize(
+    "walls",
+    [
+        [(0, 1)], [(0, 1), (1, 1)], [(1, 1), (0, 1)], [(0, 1), (0, -1)], [(0, 1), (1, 1), (2, -1)],
+        [(1, -1), (0, 1), (1, 1)],
+    ],
+)  # fmt: skip
+def test_shadows_on_echoes_are_those_on_images(walls: list[tuple[int, int]]) -> None:
+    """A body beside each leg: the factor of the echo is that of the image's sound past images of all bodies.
+
+    Walls of a cube of 4 m are met in the order that is given, by their axes and sides.
+    """
+    random, half = np.random.default_rng(len(walls)), 2.0
+    for _ in range(4000):  # ends between which the line through the images meets the walls in this order
+        source, image = random.uniform(-1.6, 1.6, (2, 3))
+        mirrors, met, at, seen = [], [], source.copy(), image.copy()
+        for axis, side in reversed(walls):  # the receiver as the source sees it
+            seen[axis] = 2.0 * side * half - seen[axis]
+        for _ in walls:
+            along = seen - at
+            hits = [(half * np.sign(along[i]) - at[i]) / along[i] for i in range(3)]
+            axis = int(np.argmin(hits))
+            met.append((axis, int(np.sign(along[axis]))))
+            at = at + hits[axis] * along
+            seen[axis] = 2.0 * met[-1][1] * half - seen[axis]
+            mirrors.append(at.copy())
+        if met == walls and min(np.linalg.norm(np.diff([source, *mirrors, image], axis=0), axis=1)) > 0.8:
+            break
+    else:
+        pytest.fail("no such path")
+    corners = [source, *mirrors, image]
+    bodies = []
+    for begin, end in pairwise(corners):
+        leg = (end - begin) / np.linalg.norm(end - begin)
+        aside = np.cross(leg, [0.3, 0.5, 0.8])
+        bodies.append(0.5 * (begin + end) + 0.09 * aside / np.linalg.norm(aside))
+    echo = shaded(len(walls), [source, image], bodies, 2.0 * half, True)
+    images = []
+    for leg, body in product(range(len(bodies)), bodies):  # as the receiver sees it: by the walls behind the leg
+        place = body.copy()
+        for axis, side in walls[leg:]:
+            place[axis] = 2.0 * side * half - place[axis]
+        images.append(place)
+    far = source.copy()
+    for axis, side in walls:
+        far[axis] = 2.0 * side * half - far[axis]
+    direct = shaded(0, [far, image], images, 60.0, False)
+    assert abs(direct) > 0.1
+    assert echo == pytest.approx(direct, rel=1e-6)
 
 
 def test_nothing_jumps_as_a_person_walks_through_a_line_of_sight() -> None:
@@ -180,6 +230,87 @@ def test_nothing_jumps_as_a_person_walks_through_a_line_of_sight() -> None:
     around = np.maximum(steps[:-2], steps[2:])
     assert np.ptp(np.abs(total)) * 3.0 > 0.5
     assert (steps[1:-1] - around).max() < 1e-3
+
+
+def test_shadows_begin_and_end_where_nothing_is_near() -> None:
+    """A person walks to and fro between moving ends: rows of times and parts give what all parts give all the time."""
+
+    def place(t: np.ndarray) -> np.ndarray:
+        return np.stack([2.0 + 0.3 * np.sin(0.7 * t), 1.5 + 0.9 * np.sin(1.1 * t), 0.0 * t], axis=1)
+
+    duration, room = 6.0, clsim.Shoebox((4.0, 3.0, 2.5), clsim.Material.from_reflection(0.8))
+    way = clsim.Trajectory.line((0.5, 1.2, 1.1), (0.6, 1.8, 1.2), duration)
+    scene = clsim.Scene(
+        room, AIR, [clsim.Source("s", clsim.Signal.tone(40e3, 5.9, 192e3), way)],
+        [clsim.Receiver("r", clsim.Trajectory.fixed((3.5, 1.6, 1.3)))],
+        scatterers=clsim.walking_person("p", 1.75, clsim.Trajectory.sampled(place, duration, 100.0)),
+    )  # fmt: skip
+    paths = clsim.find_paths(scene, 2, scattering_order=2)
+    shades: Any = next(family for family in paths.families if family.adds)
+    walls: Any = next(family for family in paths.families if family.is_specular)
+    assert len(shades) > len(np.unique(shades.walls, axis=0))  # several rows of one path
+    assert shades.silent_ends
+    at, times = SceneResponse(scene, 0, np.array([40e3])), np.linspace(0.05, duration - 0.01, 801)
+    heard = 0
+    for path in np.flatnonzero(walls.order <= 2)[::3].tolist():
+        before, matrix, offset = parts_of(tuple(x for x in walls.walls[path].tolist() if x >= 0), scene)
+        every = ShadeVertex(
+            np.arange(1), np.array([0, len(before)]), matrix, offset, np.zeros((len(before), 2), dtype=int),
+            scene.scatterers, True,
+        )  # fmt: skip
+        alone: Any = replace(walls.part(np.array([path])), vertex=every)
+        found = alone.arrivals(np.arange(1), times)
+        wanted = alone.response(np.arange(1), found, times, at)[0, :, 0]
+        made = np.zeros_like(wanted)
+        for row in np.flatnonzero(np.all(shades.walls[:, :2] == walls.walls[path, :2], axis=1)):
+            now = np.flatnonzero((times >= shades.start[row]) & (times < shades.end[row]))
+            one = np.array([row])
+            made[now] += shades.response(one, shades.arrivals(one, times[now]), times[now], at)[0, :, 0]
+        np.testing.assert_allclose(made, wanted, atol=1e-12)
+        heard += int(np.any(wanted != 0.0))
+    assert heard > 3
+
+
+@pytest.mark.exhaustive
+def test_shadows_that_begin_and_end_on_the_device(device: str, measured: Callable[..., float]) -> None:
+    """A body crosses the line of sight twice within 0.6 s: the device's sound is that of the float64 reference."""
+
+    def place(t: np.ndarray) -> np.ndarray:
+        return np.stack([2.0 + 0.0 * t, 1.72 + 0.9 * np.cos(2.0 * np.pi * t / 0.6), 1.22 + 0.0 * t], axis=1)
+
+    body = clsim.Scatterer.ellipsoid("e", (0.1, 0.05, 0.12), clsim.Trajectory.sampled(place, 0.6, 500.0))
+    ends = [clsim.Trajectory.line((1.0, 1.7, 1.2), (1.1, 1.7, 1.2), 0.6), clsim.Trajectory.fixed((3.0, 1.8, 1.2))]
+    scene = clsim.Scene(
+        clsim.Shoebox((4.0, 3.6, 2.5), SILENT), AIR,
+        [clsim.Source("s", clsim.Signal.tone(40e3, 0.6, 192e3, fade=0.01), ends[0])],
+        [clsim.Receiver("r", ends[1])], scatterers=[body],
+    )  # fmt: skip
+    paths = clsim.find_paths(scene, 0)
+    rows = next(family for family in paths.families if family.adds)
+    assert len(rows) == 2
+    wanted = clsim.render(paths, 192e3, duration=0.6, engine="reference").samples
+    still = clsim.render(clsim.find_paths(replace(scene, scatterers=()), 0), 192e3, duration=0.6).samples
+    made = clsim.render(paths, 192e3, duration=0.6).samples
+    error = 10.0 * np.log10(np.mean((made - wanted) ** 2) / np.mean(still**2))
+    measured("shadow that passes twice, on the device", "the float64 reference", error, -60.0, "dB")
+
+
+def test_shadows_ask_for_no_wider_bands() -> None:
+    """A tone past a ball that comes by: envelopes are as narrow as without it, and nothing begins or ends at once."""
+    way = clsim.Trajectory.line((2.0, 0.5, 1.2), (2.0, 3.5, 1.2), 3.0)
+    ends = [clsim.Trajectory.line((1.0, 1.5, 1.2), (1.1, 1.6, 1.2), 3.0), clsim.Trajectory.fixed((3.0, 1.5, 1.2))]
+    scene = clsim.Scene(
+        clsim.Shoebox((4.0, 4.0, 2.5), SILENT), AIR,
+        [clsim.Source("s", clsim.Signal.tone(40e3, 2.9, 192e3, fade=0.01), ends[0])],
+        [clsim.Receiver("r", ends[1])], scatterers=[clsim.Scatterer.ellipsoid("b", (0.05, 0.05, 0.05), way)],
+    )  # fmt: skip
+    paths = clsim.find_paths(scene, 0)
+    shades = next(family for family in paths.families if family.adds)
+    assert np.all(np.isfinite(shades.start) & np.isfinite(shades.end))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        clsim.render(paths, 192e3, duration=0.2, baseband=(40e3, 1000.0), transition=0.0)
+    assert not any(pair.fades for pair in clsim.plan_render(paths, 192e3, duration=2.9).tracks.pairs)
 
 
 @pytest.mark.parametrize(("y", "shaded"), [(1.5, 1), (3.4, 0)])

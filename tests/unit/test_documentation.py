@@ -77,6 +77,7 @@ OWN = {
     "table_directions": "even angles",
     "shade": "derived: screens in a row, of which each meets what the last one lets pass",
     "faded": "what the name says",
+    "eased": "what the name says",
     "chebyshev_points": "what the name says",
     "interpolation": "the discrete orthogonality of Chebyshev polynomials",
     "inverse": "what the name says",

@@ -8,33 +8,29 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.acoustics.outline import CapsuleOutline
+from clsim.acoustics.outline import CapsuleOutline, EllipsoidOutline, Outline
 from clsim.acoustics.shade import LOUDEST_SHADE, shade
 from clsim.acoustics.silhouette import WITHIN
-from clsim.arrays import Floats, firsts, read_only
+from clsim.arrays import Floats
 from clsim.numerics.quaternions import inverse, rotate
-from clsim.paths.chain import Chain, check_support
-from clsim.paths.family import NONE, SHADOW, Integers, Links, Rows
+from clsim.paths.family import SHADOW, Integers, Links, Rows
 from clsim.paths.legs.legs import StaticLeg, static_arrivals
 from clsim.paths.response import Arrivals, Kinematics, SceneResponse
 from clsim.paths.vertices.scatterer import centre_of
 from clsim.scene.scatterer import CapsuleShape, Scatterer
-from clsim.scene.scene import Scene, known_until
+from clsim.scene.scene import Scene
 
-_RIGHT = 1e-9  # cosine of an angle that counts as a right one
-_INSTANTS = 257  # of a run, at which it is looked what comes near a path
 _ROUNDS = 3  # of finding when sound passes a body, each by the Mach number of the body
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShadeVertex:
-    """Shadows on P paths, each of parts between walls: S of all N of a scene, those of path p from ``first[p]`` on.
+    """Shadows on P paths, of N in all: bodies are near S parts between walls, of path p from ``first[p]`` on.
 
     A part is where the room would be by the walls before it, as an image of the source's own.
     """
@@ -45,6 +41,7 @@ class ShadeVertex:
     offset: Floats  # (S, 3) likewise, m
     walls: Integers  # (S, N) these walls, -1 for none
     scatterers: tuple[Scatterer, ...]  # of the scene
+    silent_ends: bool  # whether no path begins or ends, but where no body is near it
 
     kind: ClassVar[str] = "shade"
     interaction: ClassVar[int] = SHADOW
@@ -83,10 +80,6 @@ class ShadeVertex:
         """The scatterers with outlines."""
         return [scatterer for scatterer in self.scatterers if scatterer.shape.outlined]
 
-    def groups(self) -> list[NDArray[np.int64]]:
-        """Rows of one path, whose shadows are found together."""
-        return [np.flatnonzero(self.path == path) for path in np.unique(self.path)]
-
     def speeds(self, moving: bool) -> Floats:
         """Bounds (P,) of the speeds by which delays change: none, m/s."""
         return np.zeros(len(self))
@@ -105,27 +98,21 @@ class ShadeVertex:
             passed[mine] = factor.reshape(len(mine), -1, len(wave))
         return passing * (found.mach_factor / found.length)[..., None] * (passed - 1.0)
 
-    def met(self, links: Links, found: Arrivals, times: Floats, margin: Floats) -> NDArray[np.bool_]:
-        """Test which paths (P,) a body comes near at times (T,), s, or within margins (T,), m, of that."""
-        met, centre = np.zeros(len(self), dtype=bool), centre_of(links)
-        for mine, ends, times_of in self._parts_of(links, found, times):
-            if not met[mine].all():
-                met[mine] |= any(
-                    len(_near(one, centre, ends, times_of, np.tile(margin, len(mine)))[0]) for one in self.casting
-                )
-        return met
-
     def _parts_of(self, links: Links, found: Arrivals, times: Floats) -> Iterator[tuple[Any, Any, Any]]:
-        """Yield rows of one path, with both ends (n, 3) of a part of it, m, and times (n,) at these, s."""
+        """Yield paths, with both ends (n, 3) of one part of each, m, and times (n,) at these, s: part after part."""
         leg, (source, receiver), sent = links.legs[0], links.motions, found.emission_time
         begin = source.position(sent.ravel()).reshape(*sent.shape, 3)
         received = np.broadcast_to(times, sent.shape)
         end = leg.turned_back(receiver.position(received.ravel()).reshape(begin.shape) - leg.offset[:, None])
-        for mine in self.groups():
-            times_of = sent[mine].ravel(), received[mine].ravel()
-            for part in range(*self.first[self.path[mine[0]] :][:2]):
-                ends = [x[mine].reshape(-1, 3) @ self.matrix[part].T + self.offset[part] for x in (begin, end)]
-                yield mine, ends, times_of
+        first, count = self.first[self.path], np.diff(self.first)[self.path]
+        for number in range(int(count.max(initial=0))):
+            mine = np.flatnonzero(count > number)
+            part = first[mine] + number
+            ends = [
+                (x[mine] @ self.matrix[part].swapaxes(1, 2) + self.offset[part][:, None]).reshape(-1, 3)
+                for x in (begin, end)
+            ]
+            yield mine, ends, (sent[mine].ravel(), received[mine].ravel())
 
     def largest(self, links: Links, at: SceneResponse) -> float:
         """Bound of what shadows add to pressure: two bodies behind each other on the axis are the loudest."""
@@ -141,23 +128,26 @@ def _shade(
 ) -> None:  # fmt: skip
     """Multiply pressures (n, F) of sound between ends (n, 3), m, at times (n,), s, by the shades of bodies.
 
-    Shades of capsules are found together.
+    Shades of capsules are found together, and so are those of ellipsoids.
     """
-    near = [_near(scatterer, waves[1], ends, times) for scatterer in casting]
-    capsules = [i for i, scatterer in enumerate(casting) if isinstance(scatterer.shape, CapsuleShape)]
-    for some in (capsules, *([i] for i in range(len(casting)) if i not in capsules)):
-        counts = np.array([len(near[i][0]) for i in some], dtype=np.int64)
+    for kind in {type(scatterer.shape): None for scatterer in casting}:
+        some = [scatterer for scatterer in casting if isinstance(scatterer.shape, kind)]
+        near = [_near(scatterer, waves[1], ends, times) for scatterer in some]
+        counts = np.array([len(rows) for rows, _, _ in near], dtype=np.int64)
         if not counts.sum():
             continue
-        outlines: list[Any] = [casting[i].shape for i in some]
-        outline = outlines[0].outline
-        if len(some) > 1:
-            sizes = np.array([[shape.cylinder_radius, 0.5 * shape.length] for shape in outlines])
-            outline = CapsuleOutline(*sizes.repeat(counts, axis=0).T)
-        begin, end = (np.concatenate([near[i][which] for i in some]) for which in (1, 2))
-        factors = np.split(shade(outline, *waves, begin, end), np.cumsum(counts)[:-1])
-        for i, factor in zip(some, factors, strict=True):
-            passed[near[i][0]] *= factor
+        begin, end = (np.concatenate([seen[which] for seen in near]) for which in (1, 2))
+        factors = np.split(shade(_outlines(some, counts), *waves, begin, end), np.cumsum(counts)[:-1])
+        for (rows, _, _), factor in zip(near, factors, strict=True):
+            passed[rows] *= factor
+
+
+def _outlines(scatterers: list[Scatterer], counts: NDArray[np.int64]) -> Outline:
+    """Outlines of bodies of one kind, each as often as lines of sight pass it."""
+    sizes = np.array([scatterer.shape.semi_axes for scatterer in scatterers]).repeat(counts, axis=0)
+    if isinstance(scatterers[0].shape, CapsuleShape):
+        return CapsuleOutline(sizes[:, 0], sizes[:, 2] - sizes[:, 0])
+    return EllipsoidOutline(sizes)
 
 
 def _near(
@@ -183,66 +173,3 @@ def _near(
         back = inverse(scatterer.trajectory.orientation(now[near]))
         seen = [rotate(back, x) for x in seen]
     return near, seen[0], seen[1]
-
-
-def shaded_paths(scene: Scene, paths: Chain, order: int) -> Chain:
-    """Find the shadows on paths of up to `order` reflections that any body comes near."""
-    check_support("static shade", scene.air)
-    rows = np.flatnonzero(paths.order <= order)
-    some: Any = paths.part(rows)
-    sequences = [tuple(x for x in walls if x >= 0) for walls in some.walls.tolist()]
-    known = {walls: _parts(walls, scene) for walls in dict.fromkeys(sequences)}
-    counts = np.array([len(known[walls]) for walls in sequences], dtype=np.int64)
-    met = [part for walls in sequences for part in known[walls]]
-    before = np.full((len(met), order), -1, dtype=np.int32)
-    for row, walls in zip(before, met, strict=True):
-        row[: len(walls)] = walls
-    matrix, normals = np.tile(np.eye(3), (len(met), 1, 1)), scene.room.faces.normals
-    for wall in before.T:
-        normal = np.where(wall[:, None] >= 0, normals[wall], 0.0)
-        matrix = matrix - 2.0 * normal[:, :, None] * np.einsum("pi,pij->pj", normal, matrix)[:, None]
-    offset = StaticLeg(matrix, np.zeros((len(met), 3))).in_scene(scene, before).offset
-    vertex = ShadeVertex(
-        read_only(np.arange(len(some))), read_only(firsts(counts)), read_only(matrix), read_only(offset),
-        read_only(before), tuple(scene.scatterers),
-    )  # fmt: skip
-    last = np.full((len(some), 1), -1)
-    kinds, objects = (np.append(x, last, axis=1) for x in (some.interactions, some.objects))
-    ends = np.sum(some.interactions != NONE, axis=1)
-    kinds[np.arange(len(some)), ends] = SHADOW
-    shaded: Chain = replace(some, interactions=read_only(kinds), objects=read_only(objects), vertex=vertex)
-    return shaded.part(_met(shaded))
-
-
-def _met(paths: Chain) -> NDArray[np.int64]:
-    """Rows of paths that a body comes near while all trajectories are known: how far all move in between counts."""
-    scene, found = paths.scene, [np.arange(0)]
-    until = known_until([*scene.named_ends(), *scene.named_scatterers()])
-    times = np.linspace(0.0, until, _INSTANTS) if until > 0.0 else np.zeros(1)
-    step = until / (len(times) - 0.5)
-
-    def moved(thing: Any) -> Floats:
-        return np.asarray(step * thing.trajectory.speed_over(times - step, times + step))
-
-    of_bodies = np.max([moved(body) for body in paths.vertex.casting], axis=0)
-    for pair in paths.pairs():
-        ends = scene.sources[pair.source], scene.receivers[pair.receiver]
-        margin = of_bodies + sum(moved(end) for end in ends)
-        index = np.arange(len(paths))[pair.rows]
-        links = paths.links(index)
-        found.append(index[links.vertex.met(links, pair.arrivals(times), times, margin)])
-    return np.concatenate(found)
-
-
-def _parts(walls: tuple[int, ...], scene: Scene) -> list[tuple[int, ...]]:
-    """List the walls before each part of a path, from the source's side.
-
-    In convex rooms walls at right angles to each other may stand in another order than they are met in: parts that a
-    path does not have lie outside the room.
-    """
-    normals, groups = scene.room.faces.normals, list[list[int]]()
-    for wall in walls:
-        alike = [g for g in groups if not scene.room.is_convex or np.any(np.abs(normals[g] @ normals[wall]) > _RIGHT)]
-        groups = [g for g in groups if g not in alike] + [[*(x for g in alike for x in g), wall]]
-    begins = [[group[:count] for count in range(len(group) + 1)] for group in groups]
-    return [tuple(wall for begin in split for wall in begin) for split in product(*begins)]

@@ -290,7 +290,7 @@ def _width_of_fades(tracks: Tracks, mine: list[int], error_db: float) -> float:
     (1 - (2 f T)^2)^2``: beyond F there are ``1 / (320 pi^2 T^4 F^5)`` to either side together, which must be below the
     asked error in what sounds within 20 ms even if all paths begin at once.
     """
-    if tracks.transition == 0.0 or all(tracks.pairs[i].always_audible for i in mine):
+    if tracks.transition == 0.0 or not any(tracks.pairs[i].fades for i in mine):
         return 0.0
     return float((320.0 * math.pi**2 * tracks.transition**4 * LEVEL_TIME * 10 ** (error_db / 10)) ** -0.2)
 
@@ -384,7 +384,7 @@ def _obstacle(
     the run ends, s.
     """
     scene, (index, max_rate) = tracks.paths.scene, about
-    if tracks.transition == 0.0 and not all(tracks.pairs[i].always_audible for i in mine):
+    if tracks.transition == 0.0 and any(tracks.pairs[i].fades for i in mine):
         return "paths begin and end at once"
     receivers = sorted({tracks.pairs[i].receiver for i in mine})
     ends = [("the source", scene.sources[index].trajectory)]

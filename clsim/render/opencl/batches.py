@@ -85,6 +85,15 @@ class Boundaries:
         first, last = (np.clip(x - start, -most, most).astype(np.int32) for x in (self.first, self.last))
         return first, last
 
+    def stretches(self, start: int, segment: int, first: int, last: int) -> list[tuple[int, int]]:
+        """Return the stretches of segments, from `first` to `last` of those from a sample on, with any active path."""
+        begin, end = (np.clip(x - start, first * segment, last * segment) for x in (self.first, self.last))
+        some, changes = end > begin, np.zeros(last - first + 1, dtype=np.int64)
+        np.add.at(changes, begin[some] // segment - first, 1)
+        np.add.at(changes, -(-end[some] // segment) - first, -1)
+        active = (np.cumsum(changes)[:-1] > 0).astype(np.int64)
+        return [(first + a, first + b) for a, b in equal_runs(active) if active[a]]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathBatch:
@@ -127,6 +136,9 @@ class PathBatch:
     def fades(self, start: int, block: int, blocks: int) -> Fades | None:
         """Return the beginnings and ends of paths within some blocks from a sample on; None if there are none."""
         found, bounds = [], self.bounds
+        reach, stop = 0.5 * bounds.ramp, start + blocks * block
+        if not any(np.any((x + reach >= start) & (x - reach <= stop)) for x in (bounds.start, bounds.end)):
+            return None
         for place in (bounds.start, bounds.end):
             half = 0.5 * bounds.ramp
             low = np.clip((place - half - start) / block, -1.0, blocks)

@@ -199,7 +199,7 @@ class BranchSignals:
     ) -> Iterator[tuple[int, int, list[ActivePaths]]]:
         """Yield the first of some segments from a sample on, the one behind the last, and the paths active in these."""
         plan, ramp, segments = self._plan, 0.5 * self._plan.tracks.transition, -(-length // self._plan.segment)
-        always = all(plan.tracks.pairs[pair.index].always_audible for pair in active)
+        always = not any(plan.tracks.pairs[pair.index].fades for pair in active)
         for first in range(0, segments, segments if always else _CHOSEN_ANEW):
             last = min(first + (segments if always else _CHOSEN_ANEW), segments)
             begin, end = ((start + at * plan.segment) / plan.sampling_rate for at in (first, last))

@@ -28,7 +28,7 @@ Maker = NodeMaker | HostNodeMaker
 
 _TOGETHER = 8  # functions of frequency that are summed at a time
 _CHANNELS = 16  # of a receiver that are summed at a time
-_PASSING = 0.008  # s, of the longest blocks for fields about outlines, which pass within some 50 ms
+_PASSING = 0.008  # s, of the longest blocks for shadows, which pass within some 50 ms
 _TURN = 4  # segments at a time in which they do
 
 
@@ -66,7 +66,8 @@ class Run:
 
     def render(self, level: int = 0) -> None:
         """Add the batch's paths to the pressure on the device, in blocks of a level or shorter ones."""
-        self._cover(self._task.first, self._task.last, level)
+        for first, last in self._bounds.stretches(self._start, self._plan.segment, self._task.first, self._task.last):
+            self._cover(first, last, level)
 
     def _cover(self, first: int, last: int, level: int) -> None:
         """Render segments `first` to `last` in blocks of a level, or shorter ones where those are too coarse."""
@@ -328,9 +329,9 @@ class OpenclEngine:
         return family if on_device else None
 
     def _first_level(self, pair: int) -> int:
-        """Return the level of blocks to try first for the paths of a pair: shorter ones where shadows pass."""
-        vertex, rate = getattr(self.kind(pair), "vertex", None), self._plan.sampling_rate
-        if not getattr(vertex, "outlined", False):
+        """Return the level of blocks to try first for the paths of a pair: shorter ones for shadows that pass."""
+        kind, rate = self.kind(pair), self._plan.sampling_rate
+        if kind is None or not kind.silent_ends:
             return 0
         return next((i for i, block in enumerate(self._plan.blocks) if block <= _PASSING * rate), 0)
 

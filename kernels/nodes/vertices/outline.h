@@ -16,6 +16,8 @@ typedef struct {
     double axes[3];            // of an ellipsoid; of a capsule the radius and, along z, half of the whole length, m
     double straight;           // of a capsule: half of the distance of both half circles along the axis, m
     double first, both, last;  // of an ellipsoid: root of the projection of the squared axes; of a capsule: sine, side, half circle
+    double wide[3], slant[2];  // of an ellipsoid: squared axes across the line of sight, and between that and both directions across
+    double sharp[6];           // likewise the inverse ones: across, between, and along
     int is_capsule;
 } outline;
 
@@ -62,6 +64,13 @@ static void look_along(outline* o)
         const double pp = dot_of(p, p), pq = dot_of(p, q), qq = dot_of(q, q), area = sqrt(pp * qq - pq * pq);
         const double over = 1.0 / sqrt(pp + qq + 2.0 * area);
         o->first = (pp + area) * over, o->both = pq * over, o->last = (qq + area) * over;
+        double s[3], x[3], y[3], z[3];
+        for (int i = 0; i < 3; i++) {
+            s[i] = o->axes[i] * o->sight[i], x[i] = o->one[i] / o->axes[i], y[i] = o->other[i] / o->axes[i], z[i] = o->sight[i] / o->axes[i];
+        }
+        o->wide[0] = pp, o->wide[1] = pq, o->wide[2] = qq, o->slant[0] = dot_of(p, s), o->slant[1] = dot_of(q, s);
+        const double inverse[6] = {dot_of(x, x), dot_of(x, y), dot_of(y, y), dot_of(x, z), dot_of(y, z), dot_of(z, z)};
+        for (int i = 0; i < 6; i++) o->sharp[i] = inverse[i];
     }
 }
 
@@ -100,7 +109,7 @@ static __global const double* points_asked(const outline* o, __global const doub
     return tables + (int)head[7 + 3 * step];
 }
 
-#define ALONG(vector, u, v) {(u) * o->one[0] + (v) * o->other[0], (u) * o->one[1] + (v) * o->other[1], (u) * o->one[2] + (v) * o->other[2]}
+// Coordinates of points are sums of those of both directions across the line of sight.
 static outline_points points_at(const outline* o, __global const double* table)
 {
 #if NODES_AT_ONCE == 4
@@ -111,35 +120,31 @@ typedef reals __attribute__((aligned(8))) point_reals;  // may start at any doub
 #endif
     const reals cosine = POINT_ROW(0), sine = POINT_ROW(1), sign = POINT_ROW(2), on_side = POINT_ROW(3), at = POINT_ROW(4), share = POINT_ROW(5);
     outline_points p;
-    reals u, v;
-    triples place;
-    if (o->is_capsule) {
-        u = sign * cosine, v = sign * sine;
-    } else {
-        const reals a = o->last * cosine - o->both * sine, b = o->first * sine - o->both * cosine, size = inverse_root(a * a + b * b);
-        u = a * size, v = b * size;
-        p.step = share * root((o->both * cosine - o->first * sine) * (o->both * cosine - o->first * sine) + a * a);
-    }
-    const triples normal = ALONG(normal, u, v), along = ALONG(along, -v, u);
+    const double over = dot_of(o->source, o->one), aside = dot_of(o->source, o->other);
+    const double behind = dot_of(o->source, o->sight), ahead = dot_of(o->receiver, o->sight);
     if (o->is_capsule) {
         const double radius = o->axes[0], short_of = radius / o->axes[2];
-        place = scaled((reals)radius, normal);
-        place.z += sign * at * o->straight;
+        const reals u = sign * cosine, v = sign * sine, up = sign * at * o->straight;  // of the half circle, along the axis
+        p.depth = u * over + v * aside - radius - up * (u * o->one[2] + v * o->other[2]);
+        p.beside = u * aside - v * over - up * (u * o->other[2] - v * o->one[2]);
+        p.source = behind - up * o->sight[2], p.receiver = ahead - up * o->sight[2];
         p.support = radius;
         p.q_nn = 1.0 / (radius * radius), p.q_nz = 0.0;
         p.q_zz = p.q_nn * (1.0 + on_side * (fmax(o->first * o->first, short_of * short_of) - 1.0));
         p.step = share * (o->last + on_side * (o->both - o->last));
-    } else {
-        const triples axes = {o->axes[0], o->axes[1], o->axes[2]}, stretched = along_axes(axes, normal);
-        const triples sight = {o->sight[0] / axes.x, o->sight[1] / axes.y, o->sight[2] / axes.z};
-        const triples over = {normal.x / axes.x, normal.y / axes.y, normal.z / axes.z};
-        p.support = root(DOT(stretched, stretched));
-        place = scaled(1.0 / p.support, along_axes(axes, stretched));
-        p.q_nn = DOT(over, over), p.q_nz = DOT(over, sight), p.q_zz = DOT(sight, sight);
+        return p;
     }
-    const triples source = {o->source[0], o->source[1], o->source[2]}, receiver = {o->receiver[0], o->receiver[1], o->receiver[2]};
-    const triples sight = {o->sight[0], o->sight[1], o->sight[2]}, begin = apart(source, place), end = apart(receiver, place);
-    p.depth = DOT(normal, begin), p.source = DOT(begin, sight), p.receiver = DOT(end, sight), p.beside = DOT(along, begin);
+    const reals a = o->last * cosine - o->both * sine, b = o->first * sine - o->both * cosine, size = inverse_root(a * a + b * b);
+    const reals c = o->both * cosine - o->first * sine, u = a * size, v = b * size, uu = u * u, uv = u * v, vv = v * v;
+    const reals squared = o->wide[0] * uu + 2.0 * o->wide[1] * uv + o->wide[2] * vv, inverse = inverse_root(squared);
+    const reals up = (o->slant[0] * u + o->slant[1] * v) * inverse;
+    p.support = squared * inverse;
+    p.depth = u * over + v * aside - p.support;
+    p.beside = u * aside - v * over - ((o->wide[2] - o->wide[0]) * uv + o->wide[1] * (uu - vv)) * inverse;
+    p.source = behind - up, p.receiver = ahead - up;
+    p.q_nn = o->sharp[0] * uu + 2.0 * o->sharp[1] * uv + o->sharp[2] * vv;
+    p.q_nz = o->sharp[3] * u + o->sharp[4] * v, p.q_zz = o->sharp[5];
+    p.step = share * root(c * c + a * a);
     return p;
 }
 #endif

@@ -5,7 +5,7 @@
 static void from_table(__global const double* table, double clamped, double* real, double* imaginary)
 {
     const double place = (clamped - FOCK_FIRST) * ((FOCK_COUNT - 1) / (FOCK_LAST - FOCK_FIRST));
-    const int cell = (int)fmin(place, FOCK_COUNT - 2.0);
+    const int last = FOCK_COUNT - 2, cell = (int)place < last ? (int)place : last;
     const double part = place - cell;
     __global const double* at = table + 2 * cell;
     *real = at[0] + part * (at[2] - at[0]);
@@ -17,10 +17,19 @@ static void fock_hard(__global const double* table, reals xi, reals* real, reals
 {
     const reals clamped = smaller(larger(xi, (reals)FOCK_FIRST), (reals)FOCK_LAST);
     const double pole = 0.5 / sqrt(HALF_TURN);
-    for (int i = 0; i < NODES_AT_ONCE; i++) from_table(table, OF_NODE(clamped, i), (double*)real + i, (double*)imaginary + i);
+#if NODES_AT_ONCE == 4
+    double x[4], y[4];
+#pragma unroll
+    for (int i = 0; i < 4; i++) from_table(table, OF_NODE(clamped, i), x + i, y + i);
+    const reals u = {x[0], x[1], x[2], x[3]}, v = {y[0], y[1], y[2], y[3]};  // by way of memory they would wait for each other
+#else
+    reals u, v;
+    from_table(table, clamped, &u, &v);
+#endif
     const choices beyond = xi > FOCK_LAST;
-    *real = beyond ? pole / xi : *real + pole * clamped / (1.0 + clamped * clamped);
-    *imaginary = beyond ? (reals)0.0 : *imaginary;
+    const reals none = 0.0, tail = pole * (beyond ? none + 1.0 : clamped) / (beyond ? xi : 1.0 + clamped * clamped);
+    *real = tail + (beyond ? none : u);
+    *imaginary = beyond ? none : v;
 }
 
 // Reflection near grazing incidence over the mirror's, `lit_reflection`.
@@ -59,10 +68,11 @@ static void add_points(const vertex_tables* t, const outline_points* p, double s
     const reals beside = p->beside * p->beside, once = p->step / (2.0 * HALF_TURN);
     const reals inside = p->source < 0.0 && p->receiver > 0.0 ? -p->depth : (reals)0.0;
     const reals detour = quick_root(of_points.source * of_points.source + beside) + quick_root(of_points.receiver * of_points.receiver + beside) - sight;
-    const reals screens = once * inside / (inside * inside + beside + TINY), offset = of_points.offset;
-    const reals edges = once * of_points.width * offset / (offset * offset + beside + TINY);
-    const reals curves = p->step * of_points.width * of_points.curve / (of_points.apart * sqrt(HALF_TURN));
+    const reals offset = of_points.offset, far = inside * inside + beside + TINY, off = offset * offset + beside + TINY;
+    const reals each = once / (far * off), screens = inside * off * each, edges = of_points.width * offset * far * each;
+    const reals curves = p->step * of_points.width * of_points.curve * of_points.nearness * (1.0 / sqrt(HALF_TURN));
     reals real[KNOWN_AT], imaginary[KNOWN_AT];
+#pragma unroll
     for (int m = 0; m < KNOWN_AT; m++) {
         const double root_of_wave = roots->middle + roots->reach * OF_CHEBYSHEV[m], squared = root_of_wave * root_of_wave;
         const reals fock = root_of_wave * of_points.fock, near = faded_by(fock, NEAR_WHOLE, NEAR_NONE);
@@ -72,7 +82,9 @@ static void add_points(const vertex_tables* t, const outline_points* p, double s
         real[m] = near * (edges - smooth * x);
         imaginary[m] = -near * smooth * y;
     }
-    for (int order = 1; order < KNOWN_AT; order++) {  // divided differences
+#pragma unroll
+    for (int order = 1; order < KNOWN_AT; order++) {  // divided differences, by constants where loops are unrolled
+#pragma unroll
         for (int m = KNOWN_AT - 1; m >= order; m--) {
             const double apart_by = 1.0 / (OF_CHEBYSHEV[m] - OF_CHEBYSHEV[m - order]);
             real[m] = (real[m] - real[m - 1]) * apart_by;

@@ -41,6 +41,13 @@ static double clearance_of(const outline* o, double* share)
     return sqrt(passed);
 }
 
+// As `faded`, with a second derivative that does not jump: fewer nodes hold it.
+static double eased(double x, double whole, double none)
+{
+    const double part = fmin(fmax((x - none) / (whole - none), 0.0), 1.0);
+    return part * part * part * (10.0 + part * (6.0 * part - 15.0));
+}
+
 // Share of the field about the outline, `forward_share`, at central waves in a metre.
 static float forward_share(const outline* o, double centre)
 {
@@ -49,7 +56,7 @@ static float forward_share(const outline* o, double centre)
     const double beyond = fmax(clearance_of(o, &place), 0.0);
     const double twice = fmax(2.0 * sqrt(dot_of(apart_by, apart_by)) * place * (1.0 - place), TINY);
     const double zones = beyond * sqrt(2.0 * centre / twice);
-    return (float)(faded(beyond / twice, COSINE_WHOLE, COSINE_NONE) * faded(zones, WITHIN, 2.0 * WITHIN));
+    return (float)(eased(beyond / twice, COSINE_WHOLE, COSINE_NONE) * eased(zones, WITHIN, 2.0 * WITHIN));
 }
 #endif
 
