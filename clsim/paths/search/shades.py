@@ -19,14 +19,13 @@ from clsim.arrays import Floats, firsts, read_only
 from clsim.paths.chain import Chain, check_support
 from clsim.paths.family import NONE, SHADOW, PairPaths
 from clsim.paths.vertices.scatterer import centre_of
-from clsim.paths.vertices.shade import ShadeVertex
+from clsim.paths.vertices.shade import WIDER, ShadeVertex
 from clsim.scene.scene import Scene, known_until
 
 _RIGHT = 1e-9  # cosine of an angle that counts as a right one
 _DIVIDED = 4  # parts of a stretch
 _LONGEST = 0.05  # s, of a stretch in which it is not looked any closer when a body is near
 _MERGED, _MOST_ROWS = 0.1, 256  # s between two rows of a path that are one, and about the most rows of a path
-_SPARE = 1.02  # of the zones: lengths that a moving body sees differ by its Mach number
 
 Parts = tuple[list[tuple[int, ...]], Floats, Floats]  # walls before each part, and the isometry by these
 
@@ -250,7 +249,7 @@ class _Lines:
         along = np.einsum("sij,sj->si", self.back[part], receiver) + self.moved[part] - begin
         squared, spare = np.maximum(np.sum(along**2, axis=1), 1e-30), np.maximum(off, other)
         longest = np.sqrt(squared) + 2.0 * spare
-        reach = spare + _SPARE * 2.0 * WITHIN * np.sqrt(0.5 * math.pi * longest / self.centre)
+        reach = spare + WIDER * 2.0 * WITHIN * np.sqrt(0.5 * math.pi * longest / self.centre)
 
         def comes_near(mine: Any, place: Floats, radius: Floats) -> NDArray[np.bool_]:
             away = place - begin[mine]

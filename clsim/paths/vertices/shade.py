@@ -25,6 +25,7 @@ from clsim.paths.vertices.scatterer import centre_of
 from clsim.scene.scatterer import CapsuleShape, Scatterer
 from clsim.scene.scene import Scene
 
+WIDER = 1.02  # zones of bodies that move, which see other lengths by their Mach number, of those of bodies at rest
 _ROUNDS = 3  # of finding when sound passes a body, each by the Mach number of the body
 
 
@@ -92,14 +93,14 @@ class ShadeVertex:
         """Responses (P, T, F) by what shadows add, and by what air and walls let pass, (P, T, F)."""
         wave, centre = 2.0 * np.pi * at.frequencies / links.chain.scene.air.speed_of_sound, centre_of(links)
         passed = np.ones((*found.delay.shape, len(wave)), dtype=np.complex128)
-        for mine, ends, times_of in self._parts_of(links, found, times):
+        for mine, ends, travel in self._parts_of(links, found, times):
             factor = passed[mine].reshape(-1, len(wave))
-            _shade(self.casting, (wave, centre), ends, times_of, factor)
+            _shade(self.casting, (wave, centre), ends, travel, factor)
             passed[mine] = factor.reshape(len(mine), -1, len(wave))
         return passing * (found.mach_factor / found.length)[..., None] * (passed - 1.0)
 
     def _parts_of(self, links: Links, found: Arrivals, times: Floats) -> Iterator[tuple[Any, Any, Any]]:
-        """Yield paths, with both ends (n, 3) of one part of each, m, and times (n,) at these, s: part after part."""
+        """Yield paths, both ends (n, 3) of one part of each, m, and their `travel`, see `_near`: part after part."""
         leg, (source, receiver), sent = links.legs[0], links.motions, found.emission_time
         begin = source.position(sent.ravel()).reshape(*sent.shape, 3)
         received = np.broadcast_to(times, sent.shape)
@@ -112,7 +113,7 @@ class ShadeVertex:
                 (x[mine] @ self.matrix[part].swapaxes(1, 2) + self.offset[part][:, None]).reshape(-1, 3)
                 for x in (begin, end)
             ]
-            yield mine, ends, (sent[mine].ravel(), received[mine].ravel())
+            yield mine, ends, tuple(x[mine].ravel() for x in (sent, received, found.frequency_ratio))
 
     def largest(self, links: Links, at: SceneResponse) -> float:
         """Bound of what shadows add to pressure: two bodies behind each other on the axis are the loudest."""
@@ -123,53 +124,57 @@ class ShadeVertex:
 
 
 def _shade(
-    casting: list[Scatterer], waves: tuple[Floats, float], ends: tuple[Floats, Floats], times: tuple[Floats, Floats],
+    casting: list[Scatterer], waves: tuple[Floats, float], ends: tuple[Floats, Floats], travel: tuple[Floats, ...],
     passed: Any,
 ) -> None:  # fmt: skip
-    """Multiply pressures (n, F) of sound between ends (n, 3), m, at times (n,), s, by the shades of bodies.
+    """Multiply pressures (n, F) of sound between ends (n, 3), m, see `_near`, by the shades of bodies.
 
     Shades of capsules are found together, and so are those of ellipsoids.
     """
     for kind in {type(scatterer.shape): None for scatterer in casting}:
         some = [scatterer for scatterer in casting if isinstance(scatterer.shape, kind)]
-        near = [_near(scatterer, waves[1], ends, times) for scatterer in some]
-        counts = np.array([len(rows) for rows, _, _ in near], dtype=np.int64)
+        near = [_near(scatterer, waves[1], ends, travel) for scatterer in some]
+        counts = np.array([len(rows) for rows, *_ in near], dtype=np.int64)
         if not counts.sum():
             continue
-        begin, end = (np.concatenate([seen[which] for seen in near]) for which in (1, 2))
-        factors = np.split(shade(_outlines(some, counts), *waves, begin, end), np.cumsum(counts)[:-1])
-        for (rows, _, _), factor in zip(near, factors, strict=True):
+        begin, end, scale = (np.concatenate([seen[which] for seen in near]) for which in (1, 2, 3))
+        factors = np.split(shade(_outlines(some, counts, scale), *waves, begin, end), np.cumsum(counts)[:-1])
+        for (rows, *_), factor in zip(near, factors, strict=True):
             passed[rows] *= factor
 
 
-def _outlines(scatterers: list[Scatterer], counts: NDArray[np.int64]) -> Outline:
-    """Outlines of bodies of one kind, each as often as lines of sight pass it."""
-    sizes = np.array([scatterer.shape.semi_axes for scatterer in scatterers]).repeat(counts, axis=0)
+def _outlines(scatterers: list[Scatterer], counts: NDArray[np.int64], scale: Floats) -> Outline:
+    """Outlines of bodies of one kind, each as often as lines of sight pass it, and so many times its size."""
+    sizes = np.array([scatterer.shape.semi_axes for scatterer in scatterers]).repeat(counts, axis=0) * scale[:, None]
     if isinstance(scatterers[0].shape, CapsuleShape):
         return CapsuleOutline(sizes[:, 0], sizes[:, 2] - sizes[:, 0])
     return EllipsoidOutline(sizes)
 
 
 def _near(
-    scatterer: Scatterer, centre: float, ends: tuple[Floats, Floats], times: tuple[Floats, Floats],
-    margin: Floats | float = 0.0,
-) -> tuple[NDArray[np.int64], Floats, Floats]:  # fmt: skip
-    """Rows of sound that passes near one body, and both ends (rows, 3) as that sees them, m.
+    scatterer: Scatterer, centre: float, ends: tuple[Floats, Floats], travel: tuple[Floats, ...]
+) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
+    """Rows of sound that passes near one body, both ends (rows, 3) as that sees them, m, and what scales lengths.
 
-    Sound goes straight, and evenly: it is at a share of its way at that share of its time. margin: what counts as near
-    beyond the zone of the shadow, m.
+    travel: when sound is sent and received (n,), s, and its frequency over that emitted (n,). It goes straight, and
+    evenly: it is at a share of its way at that share of its time. A body that moves evenly meets, to the first order of
+    its Mach number, the sound of still air between where both ends are relative to it when sound is there (K. Taylor,
+    J. Sound Vib. 62 (1979), 409), at the frequency that it hears: instead of wave numbers, all lengths are scaled.
     """
-    begin, along = ends[0], ends[1] - ends[0]
+    begin, along, (sent, received, ratio) = ends[0], ends[1] - ends[0], travel
     size = np.maximum(np.sum(along**2, axis=1), 1e-30)
     share, shape = np.full(len(begin), 0.5), scatterer.shape
     for _ in range(_ROUNDS):
-        now = times[0] + share * (times[1] - times[0])
+        now = sent + share * (received - sent)
         away = scatterer.trajectory.position(now) - begin
         share = np.clip(np.sum(away * along, axis=1) / size, 0.0, 1.0)
-    zone = 2.0 * WITHIN * np.sqrt(0.5 * math.pi * np.sqrt(size) / centre)  # the widest, in the middle
-    near = np.flatnonzero(np.linalg.norm(away - share[:, None] * along, axis=1) < shape.radius + zone + margin)
-    seen = [-away[near], (along - away)[near]]
+    zone = WIDER * 2.0 * WITHIN * np.sqrt(0.5 * math.pi * np.sqrt(size) / centre)  # the widest, in the middle
+    near = np.flatnonzero(np.linalg.norm(away - share[:, None] * along, axis=1) < shape.radius + zone)
+    velocity, flight = scatterer.trajectory.velocity(now[near]), (received - sent)[near]
+    scale = ratio[near] * (1.0 - np.sum(velocity * along[near], axis=1) * flight / size[near])
+    before, after = ((velocity * span[near, None]) for span in (now - sent, received - now))
+    seen = [before - away[near], (along - away)[near] - after]
     if scatterer.trajectory.has_orientation and len(near):
         back = inverse(scatterer.trajectory.orientation(now[near]))
         seen = [rotate(back, x) for x in seen]
-    return near, seen[0], seen[1]
+    return near, scale[:, None] * seen[0], scale[:, None] * seen[1], scale
