@@ -135,12 +135,12 @@ def _longest(paths: Chain, sources: tuple[Floats, Floats], receivers: tuple[Floa
     return float(length.max(initial=0.0) / (paths.speed_range.slowest - fastest))
 
 
-def _balls(ways: list[Any], until: float, count: int, late: float) -> tuple[Floats, Floats]:
+def _balls(motions: list[Any], until: float, count: int, late: float) -> tuple[Floats, Floats]:
     """Centres (things, n, 3) and radii (things, n) for the shortest stretches, and `late`, s, before them."""
     longer = until / count + late
     times = (np.arange(count) + 0.5) * (until / count) - 0.5 * late
-    places = np.stack([way.position(times) for way in ways])
-    speeds = np.stack([way.speed_over(times - 0.5 * longer, times + 0.5 * longer) for way in ways])
+    places = np.stack([motion.position(times) for motion in motions])
+    speeds = np.stack([motion.speed_over(times - 0.5 * longer, times + 0.5 * longer) for motion in motions])
     return places, speeds * (0.5 * longer)
 
 
