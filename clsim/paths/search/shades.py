@@ -25,6 +25,7 @@ from clsim.scene.scene import Scene, known_until
 _RIGHT = 1e-9  # cosine of an angle that counts as a right one
 _DIVIDED = 4  # parts of a stretch
 _LONGEST = 0.05  # s, of a stretch in which it is not looked any closer when a body is near
+_MOST_STRETCHES = 1 << 16  # of a run; in an hour they take 55 ms each
 _MERGED, _MOST_ROWS = 0.1, 256  # s between two rows of a path that are one, and about the most rows of a path
 
 Parts = tuple[list[tuple[int, ...]], Floats, Floats]  # walls before each part, and the isometry by these
@@ -94,7 +95,7 @@ def _isometries(walls: list[int], scene: Scene) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Balls:
-    """Balls that hold what moves in stretches of time, in halves of halves of a run and so on.
+    """Balls that hold what moves in stretches of time, in quarters of quarters of a run and so on.
 
     Of every level there are centres (things, stretches, 3), m, and radii (things, stretches), m. Times are those of
     reception: sources and bodies are held for as long as sound takes before.
@@ -112,7 +113,7 @@ class _Balls:
         until = known_until([*scene.named_ends(), *scene.named_scatterers()])
         casting = [body for body in scene.scatterers if body.shape.outlined]
         count = 1
-        while until / count > _LONGEST:
+        while until / count > _LONGEST and count < _MOST_STRETCHES:
             count *= _DIVIDED
 
         def held(things: Any, late: float, radii: Any = 0.0) -> list[tuple[Floats, Floats]]:
@@ -134,12 +135,12 @@ def _longest(paths: Chain, sources: tuple[Floats, Floats], receivers: tuple[Floa
     return float(length.max(initial=0.0) / (paths.speed_range.slowest - fastest))
 
 
-def _balls(ways: list[Any], until: float, count: int, late: float) -> tuple[Floats, Floats]:
+def _balls(motions: list[Any], until: float, count: int, late: float) -> tuple[Floats, Floats]:
     """Centres (things, n, 3) and radii (things, n) for the shortest stretches, and `late`, s, before them."""
     longer = until / count + late
     times = (np.arange(count) + 0.5) * (until / count) - 0.5 * late
-    places = np.stack([way.position(times) for way in ways])
-    speeds = np.stack([way.speed_over(times - 0.5 * longer, times + 0.5 * longer) for way in ways])
+    places = np.stack([motion.position(times) for motion in motions])
+    speeds = np.stack([motion.speed_over(times - 0.5 * longer, times + 0.5 * longer) for motion in motions])
     return places, speeds * (0.5 * longer)
 
 

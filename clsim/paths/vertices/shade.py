@@ -25,7 +25,7 @@ from clsim.paths.vertices.scatterer import centre_of
 from clsim.scene.scatterer import CapsuleShape, Scatterer
 from clsim.scene.scene import Scene
 
-WIDER = 1.02  # zones of bodies that move, which see other lengths by their Mach number, of those of bodies at rest
+WIDER = 1.05  # zones of bodies that move, which see other lengths by their Mach number, of those of bodies at rest
 _ROUNDS = 3  # of finding when sound passes a body, each by the Mach number of the body
 
 

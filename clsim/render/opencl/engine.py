@@ -130,6 +130,7 @@ class Run:
         few = np.zeros(nodes.squares.shape[1:], dtype=np.bool_)
         before = np.stack([level(first + i, self._batch.receiver) for i in range(len(few))]) if self._beside else 0.0
         error, received = block_errors(nodes.squares, begins, before, self._plan.tracks.least_level)
+        divides &= self._batch.count >= FEW * BATCH  # of fewer slots no part is small enough
         for i in np.flatnonzero(error > self._tolerance).tolist() if divides else []:
             few[i] = few_paths(nodes.squares[0, i], begins, 0.5 * (self._tolerance * received[i]) ** 2)
             few[i] &= FEW * self._batch.part(few[i]).count <= self._batch.count
@@ -330,10 +331,9 @@ class OpenclEngine:
 
     def _first_level(self, pair: int) -> int:
         """Return the level of blocks to try first for the paths of a pair: shorter ones for shadows that pass."""
-        kind, rate = self.kind(pair), self._plan.sampling_rate
-        if kind is None or not kind.silent_ends:
-            return 0
-        return next((i for i, block in enumerate(self._plan.blocks) if block <= _PASSING * rate), 0)
+        passes = getattr(self.kind(pair), "silent_ends", False)
+        longest = _PASSING * self._plan.sampling_rate if passes else math.inf
+        return next((i for i, block in enumerate(self._plan.blocks) if block <= longest), 0)
 
     def maker(self, pair: int) -> Maker:
         """Return the maker of the nodes of a pair: the device, where it has a program for such paths."""

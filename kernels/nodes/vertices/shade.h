@@ -2,7 +2,7 @@
 
 #if VERTEX == SHADE && PARTS == 2
 #define SHADE_ROUNDS 3    // of finding when sound passes a body
-#define WIDER 1.02        // zones of bodies that move, of those of bodies at rest
+#define WIDER 1.05        // zones of bodies that move, of those of bodies at rest
 #define CASTER_COLUMNS 8  // thing, CAPSULE or not, whether turned, three axes as of an outline, where its table begins, radius
 #define SHADED_PART 12    // matrix and offset of a part of a path, see `ShadeVertex`
 

@@ -1,5 +1,7 @@
 """Which segments of a run are rendered for paths that begin and end, and at which instants these are looked at."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from clsim.render.opencl.batches import Boundaries
@@ -20,7 +22,7 @@ def test_segments_without_active_paths_are_left_out() -> None:
         ]  # fmt: skip
         found = bounds.stretches(start, 100, first, last)
         assert [segment for a, b in found for segment in range(a, b)] == heard
-        assert all(a[1] < b[0] for a, b in zip(found, found[1:], strict=False))
+        assert all(a[1] < b[0] for a, b in pairwise(found))
         left_out += last - first - len(heard)
     assert left_out > 100
 
