@@ -130,6 +130,8 @@ def _devices() -> list[tuple[DeviceInfo, Any]]:
 
 
 UNKNOWN = "generic"
+LATEST = "znver3"  # as LLVM 14 calls all later processors of AMD, and so leaves their AVX-512 unused
+_UNSURE = {UNKNOWN, LATEST}
 # Processors as PoCL's library of functions is compiled for them, the most able first, and what they must have, as Linux
 # calls it. With another name its functions would not be inlined.
 _ABLE = (
@@ -146,16 +148,23 @@ _names: dict[str, Any] = {}  # texts that devices point to, for as long as there
 
 @cache
 def name_processor(device: Any) -> None:
-    """Make PoCL compile for the features of a processor that it does not know by name; once in a process.
+    """Make PoCL compile for the features of a processor that it does not know, or takes for an older one; once.
 
     Nothing is done on other systems than Linux with x86-64, and where a process may not read its own memory.
     """
     with suppress(OSError):
-        if processor(device) == UNKNOWN:
+        known = processor(device)
+        if known in _UNSURE:
             flags = next(
                 line for line in Path("/proc/cpuinfo").read_text("utf-8").splitlines() if line.startswith("flags")
             )
-            set_processor(device, able_processor(flags.split()))
+            set_processor(device, better_name(known, flags.split()))
+
+
+def better_name(known: str, flags: Collection[str]) -> str:
+    """Return the name by which PoCL uses all that a processor with these flags can: the known one if that does."""
+    able = able_processor(flags)
+    return known if known == LATEST and able != _ABLE[0][0] else able
 
 
 def able_processor(flags: Collection[str]) -> str:

@@ -136,7 +136,7 @@ _FILES = {
     "channels/components": _VECTORS + _POLYNOMIALS + "common/taper.h channels/places.h",
     "render/plane_waves": _VECTORS,
     "render/baseband": _VECTORS + _POLYNOMIALS
-    + "common/mask.h render/carrier.h render/group.h render/branch_powers.h",
+    + "common/mask.h render/carrier.h render/group.h render/branch_powers.h render/joined.h",
     "render/baseband_fades": _VECTORS + _POLYNOMIALS + "render/carrier.h render/transition.h",
 }  # fmt: skip
 PROGRAMS = {

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from typing import Any
 
@@ -13,12 +12,13 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Complexes, Floats
 from clsim.numerics.band_filters import magnitudes
-from clsim.numerics.convolution import low_pass_between, turns
+from clsim.numerics.convolution import low_pass_between
 from clsim.paths.channel import ImpulseResponse
 from clsim.render.baseband import WIDEST_SUBBLOCK, Baseband, half_band
 from clsim.render.contributions import digest_of
 from clsim.render.interpolator import Bandlimited, Bank
 from clsim.render.methods.costs import measured_costs
+from clsim.render.mixer import Mixer
 from clsim.render.opencl.batches import CELL
 from clsim.render.source_filters import Emission, SourceFilters, filtered
 from clsim.render.tilt import WHOLE, Stretches, bank_of, cheapest, stretches_of
@@ -29,89 +29,6 @@ from clsim.tracks.basis import Basis
 _MARGIN_DB = 10.0  # by which the low-pass is better than the delay filters
 _ROUNDED = 0.505  # samples, of a delay about the whole ones in the middle of a vector
 _NARROWEST = 0.05  # of half the sampling rate, the least band of the delay filters
-_LEAST_TRANSFORM = 1024  # samples of envelopes in a transform at least
-_SOUND_TRANSFORM = 2**16  # samples of the sound in one, where that is more
-_STOPPED = 3e-6  # of the largest gain of filters, -110 dB, below which they are not applied
-_KEPT = 2  # transforms, which reach over the longest delays
-_SPANS = 8  # half lengths of the filters in one at least
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Mixer:
-    """Mixes sound down, low-passes it, applies filters, and keeps every so many-th sample."""
-
-    every: int  # samples of the sound in one of the envelope
-    turn: Fraction  # part of a turn of the carrier in one sample of the envelope beyond whole ones
-    half_length: int  # samples of the envelope that are looked at to either side
-    taps: Complexes  # (K, L) of each filter about the carrier, of odd length about the middle one
-    count: int  # samples of the envelope in a transform
-    lowest: int  # frequency of a transform of the sound from which on the band is taken
-    gains: Complexes  # (K, n count) of the filters at the frequencies from there on, over `every`
-    # The last transforms of the signal by float32, by number: the next call begins with these.
-    kept: dict[int, NDArray[Any]] = field(default_factory=dict, init=False)
-
-    @classmethod
-    def of(cls, taps: Complexes, every: int, carrier: Fraction) -> Mixer:
-        """Return the mixer with filters (K, L) that turn sound about the carrier's frequency, turns in a sample."""
-        from scipy.fft import ifft, next_fast_len
-
-        half = taps.shape[1] // 2
-        half_length = half // every + 1
-        count = next_fast_len(max(_LEAST_TRANSFORM, _SOUND_TRANSFORM // every, _SPANS * half_length))
-        length = count * every
-        placed = np.zeros((len(taps), length), dtype=np.complex128)
-        placed[:, np.arange(-half, half + 1) % length] = taps
-        gains, middle = count * ifft(placed, axis=1), round(float(carrier) * length)
-        passed = np.abs(gains).max(axis=0)
-        apart = (np.flatnonzero(passed > _STOPPED * passed.max()) - middle + length // 2) % length - length // 2
-        folded = min(-(-(2 * int(np.abs(apart).max()) + 1) // count), every)
-        lowest = middle - folded * count // 2
-        return cls(
-            every, carrier * every % 1, half_length, taps, count, lowest,
-            gains[:, np.arange(lowest, lowest + folded * count) % length],
-        )  # fmt: skip
-
-    def __call__(
-        self, read: Callable[[int, int], Floats], first: int, last: int, *, single: bool = False
-    ) -> NDArray[Any]:
-        """Return samples `first` to `last` of the envelope through each filter, (K, n), `single` by float32 transforms.
-
-        `read` returns the samples of the sound from one to another, if single those of the signal and no others.
-        Transforms begin at multiples of their length, so that a sample is the same to the bit in whichever call.
-        """
-        size = self.count - 2 * self.half_length
-        blocks = range(first // size, -(-last // size))
-        gains = self.gains.astype(np.complex64) if single else self.gains
-        kept = dict(self.kept) if single else {}
-        of_blocks = [kept[k] if k in kept else self._made(read, k * size, size, gains) for k in blocks]
-        if single:
-            self.kept.clear()
-            self.kept.update(zip(blocks[-_KEPT:], of_blocks[-_KEPT:], strict=True))
-        made = np.concatenate(of_blocks, axis=1)
-        out = made[:, first - blocks[0] * size : last - blocks[0] * size]
-        return np.asarray(out * np.conj(turns(self.turn, first, last)).astype(out.dtype))
-
-    def _made(self, read: Callable[[int, int], Floats], first: int, size: int, gains: NDArray[Any]) -> NDArray[Any]:
-        """Return samples of the filtered sound before it is turned, (K, size)."""
-        from scipy.fft import ifft, rfft
-
-        length = self.count * self.every
-        begin = (first - self.half_length) * self.every
-        sound = read(begin, begin + length)
-        if not np.any(sound):
-            return np.zeros((len(self.taps), size), dtype=gains.dtype)
-        # Every so many-th sample folds the spectrum; what the low-pass stops is left out.
-        places = np.arange(self.lowest, self.lowest + self.gains.shape[1]) % length
-        spectrum = rfft(sound.astype(gains.real.dtype, copy=False))[np.minimum(places, length - places)]
-        np.conj(spectrum, out=spectrum, where=places > length // 2)
-        folded = (spectrum * gains).reshape(len(self.taps), -1, self.count).sum(axis=1)
-        out = ifft(np.roll(folded, self.lowest % self.count, axis=1), axis=1)
-        out = out[:, self.half_length : self.half_length + size]
-        if not sound.all():  # what no sound reaches is silent, without the rounding of transforms
-            reached, half = np.cumsum(np.append(0, sound != 0.0)), self.taps.shape[1] // 2
-            middle = (np.arange(size) + self.half_length) * self.every
-            out[:, reached[middle + half + 1] == reached[middle - half]] = 0.0
-        return np.asarray(out)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,9 +42,13 @@ class EnvelopeFilters(SourceFilters):
     stretches: Stretches = WHOLE  # of delays: each has banks and streams of all functions, side by side
 
     @property
+    def banks_of_stretch(self) -> tuple[Bank, ...]:
+        return self.banks[: len(self.banks) // self.stretches.count]
+
+    @property
     def counts(self) -> int:
         """Branches of each function that has some, four bits each from the lowest; 0 if they are too many for that."""
-        counts = [len(bank.taps) for bank in self.banks[: len(self.banks) // self.stretches.count]]
+        counts = [len(bank.taps) for bank in self.banks_of_stretch]
         return sum(n << 4 * k for k, n in enumerate(counts)) if len(counts) < 8 and max(counts) < 16 else 0
 
     @property
@@ -151,7 +72,7 @@ class EnvelopeFilters(SourceFilters):
     def active(self, first: int, last: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
         """Return the non-zero samples of streams with branches from `first` to `last`: offsets (n,), values (K, n)."""
         streams = self.mixer(self.signal.read, first, last, single=True)
-        places = np.flatnonzero(np.any(streams, axis=0))
+        places = np.arange(last - first) if streams[0].all() else np.flatnonzero(np.any(streams, axis=0))
         return places, streams if len(places) == last - first else streams[:, places]
 
     def emitted(self, first: int, last: int) -> NDArray[Any]:
@@ -325,13 +246,9 @@ class Split:
 
         Silence is looked for in cells of 16 samples, relative to the level of what sounds within 20 to 40 ms.
         """
-        begin, end = first // CELL * CELL, -(-last // CELL) * CELL
-        window = math.ceil(max(LEVEL_TIME * signal.sampling_rate, self.reach) / CELL) * CELL
-        before, after = begin // window - 1, -(-end // window) + 1
+        begin, end, window, before, after = self._windows(signal, first, last)
         offset = before * window
-        if self._leaves_nothing(
-            signal.steady_band(min(offset, begin - self.reach), max(after * window, end + self.reach))
-        ):
+        if self.leaves_nothing(signal, first, last):
             return np.zeros(last - first)
         whole, left = signal.read(offset, after * window), np.zeros(end - begin)
         single = whole.astype(np.float32)  # rounds at -140 dB
@@ -347,12 +264,20 @@ class Split:
         cells[np.sqrt(np.mean(cells**2, axis=1)) <= self.silence * of_cell] = 0.0
         return left[first - begin : last - begin]
 
-    def _leaves_nothing(self, band: tuple[float, float] | None) -> bool:
-        """Test whether a steady tone, noise or sweep is removed, by the frequencies between which it lies, Hz.
+    def _windows(self, signal: Signal, first: int, last: int) -> tuple[int, int, int, int, int]:
+        """Return the cells about some samples, the length of windows, and those with neighbours about the cells."""
+        begin, end = first // CELL * CELL, -(-last // CELL) * CELL
+        window = math.ceil(max(LEVEL_TIME * signal.sampling_rate, self.reach) / CELL) * CELL
+        return begin, end, window, begin // window - 1, -(-end // window) + 1
+
+    def leaves_nothing(self, signal: Signal, first: int, last: int) -> bool:
+        """Test whether samples `first` to `last` are those of a steady tone, noise or sweep that is removed.
 
         The level of a tone is 3 dB below its amplitude; what the band-pass leaves of it and of its image is 6 dB below
         silence.
         """
+        begin, end, window, before, after = self._windows(signal, first, last)
+        band = signal.steady_band(min(before * window, begin - self.reach), max(after * window, end + self.reach))
         if band is None or self.quiet or len(self.bands) > 1:
             return band is not None and self.quiet
         return max(abs(end - self.bands[0].baseband.carrier) for end in band) <= self.bands[0].flat
@@ -398,6 +323,11 @@ class RestFilters(SourceFilters):
 
     def emitted_samples(self, first: int, last: int) -> Floats:
         return self.split.rest(self.signal, first, last)
+
+    def is_silent(self, first: int, last: int) -> bool:
+        half = self.filters.shape[1] // 2
+        own = (first - half) // self.oversampling, -((-last - half) // self.oversampling)
+        return self.split.leaves_nothing(self.signal, *own)
 
     def digest(self) -> str:
         return SourceFilters.digest(self) + digest_of(*(band.low_pass for band in self.split.bands))

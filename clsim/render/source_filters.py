@@ -263,6 +263,11 @@ class SourceFilters:
         counts[::step] = [len(bank.taps) for bank in self.banks]
         return np.append(0, np.cumsum(counts))
 
+    @property
+    def banks_of_stretch(self) -> tuple[Bank, ...]:
+        """Those of delays that lie together: of sound all, of envelopes each stretch of delays has the same again."""
+        return self.banks
+
     def digest(self) -> str:
         return digest_of(self.basis.projection, self.filters, *(bank.taps for bank in self.banks), self.band_limit)
 
@@ -276,6 +281,10 @@ class SourceFilters:
     def active(self, first: int, last: int) -> tuple[NDArray[np.int64], Floats]:
         """Return the non-zero samples of those streams from `first` to `last`: offsets (n,) and values (K, n)."""
         return filtered(self._read, self.filters, first, last)
+
+    def is_silent(self, first: int, last: int) -> bool:
+        """Test whether those streams are known to be zero, without making them."""
+        return False
 
     def emitted_samples(self, first: int, last: int) -> Floats:
         """Return samples `first` to `last` of the signal that is rendered path by path."""

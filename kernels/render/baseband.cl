@@ -37,7 +37,6 @@
     }
 
 // The same where counts are constants, four bits each; `x` goes on to the next function with branches of its own.
-#define COUNT(i) (COUNTS >> 4 * ((i) & 7) & 15)
 #define ADD_NEXT(i)                                        \
     if (FUNCTIONS > (i) << PAIRED) {                       \
         ADD((i) << PAIRED, COUNT(i))                       \
@@ -56,9 +55,9 @@ static void add_path(__global const float* branches, int stride, __constant int*
     for (int i = TERMS - 2; i >= 0; i--) mu = mu * t + paths->delay[i][p];
 #if TILTED
     branches += paths->beyond[p];
-    const vec nu = mu * tilt_per_sample + paths->nu[p], mu_squared = mu * mu - nu * nu, nu_squared = 2.0f * mu * nu;
+    TILTED_DELAY
 #endif
-#if COUNTS
+#if COUNTS && !JOINED
     __global const float* x = branches - whole + (2 * first_row[0] + COUNT(0) - 1) * (long)stride;
     ADD_NEXT(0)
     ADD_NEXT(1)
@@ -118,13 +117,19 @@ __kernel void baseband(__global const float* branches,  // [rows][stride], real 
             find_stretches(&paths, 2 * first_row[FUNCTIONS] * (long)stride, tilt.first_stretch, tilt.stretches, tilt.stretch,
                            tilt.per_stretch, tilt.tilt_per_sample);
 #endif
+            __global const float* here = branches + lead + at;
             vec real = 0.0f, imaginary = 0.0f;
             for (int p = 0; p < BATCH; p++) {
 #if SPARSE
                 const int mask = activity[row * (long)slots + slot + p];
                 if ((inside + LANES - 1) / SUBBLOCK < MASK_FIRST(mask) || inside / SUBBLOCK >= MASK_END(mask)) continue;
+#elif JOINED
+                if (paths.joined[p]) {
+                    add_joined(here, stride, &paths, p, t, turn_per_sample, half_turns_per_sample, tilt.tilt_per_sample, &real, &imaginary);
+                    continue;
+                }
 #endif
-                add_path(branches + lead + at, stride, first_row, &paths, p,
+                add_path(here, stride, first_row, &paths, p,
                          c + place_of(0, p, FUNCTIONS * CHANNELS, 0), channel, t, turn_per_sample, half_turns_per_sample, tilt.tilt_per_sample, &real,
                          &imaginary);
             }

@@ -1,6 +1,11 @@
 // Branch signals times powers of the delay, for a vector of samples.
 
 #if TILTED
+// The imaginary part of the delay of path p, -nu, and the square of the delay.
+#define TILTED_DELAY                                            \
+    const vec nu = mu * tilt_per_sample + paths->nu[p],         \
+              mu_squared = mu * mu - nu * nu, nu_squared = 2.0f * mu * nu;
+
 // Multiply a + j b by re - j im, and add x + j y.
 static void multiply(vec* a, vec* b, vec x, vec y, vec re, vec im)
 {

@@ -9,6 +9,7 @@ from mutants import Mutants
 
 import clsim
 from clsim.opencl import device as device_module
+from clsim.opencl import launch as compiler_module
 from clsim.render.methods.per_sample import ReferenceEngine
 from clsim.render.opencl import engine as opencl_module
 from clsim.render.opencl.baseband_engine import BasebandEngine
@@ -83,6 +84,23 @@ def test_a_beacon_is_held_as_asked_without_a_warning() -> None:
     assert apart_db(got.samples, ReferenceEngine(beacon).render(0, SAMPLES)) < -80.0
 
 
+def test_gains_that_change_fast_give_the_same(made: Plan, wanted: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Functions of frequency of such paths are not joined; here no path's are."""
+    original, joined = compiler_module.kernel_source, "here * here > JOINED_ABOVE"
+
+    def source(program: str) -> str:
+        text = original(program)
+        assert program != "baseband" or joined in text
+        return text.replace(joined, "here * here > 1e38f")
+
+    monkeypatch.setattr(sys.modules[Plan.__module__], "SLOW_CHANGE", 1.0)  # few terms, however quick the motion
+    together = BasebandEngine(made).render(0, made.samples)
+    monkeypatch.setattr(compiler_module, "kernel_source", source)
+    apart = BasebandEngine(made).render(0, made.samples)
+    assert apart_db(apart, wanted) < TOLERANCE_DB
+    assert not np.array_equal(apart, together)
+
+
 def test_layout_for_gpus_gives_the_same(made: Plan, wanted: np.ndarray) -> None:
     assert apart_db(BasebandEngine(made, GPU_LAYOUT).render(0, made.samples), wanted) < TOLERANCE_DB
 
@@ -126,25 +144,30 @@ def test_paths_that_begin_and_end(transition: float, sparse: bool) -> None:
 
 
 MUTANTS = {
-    "carrier's sign": ("baseband", "imaginary * cosine - real * sine", "imaginary * cosine + real * sine"),
-    "real part's sign": ("baseband", "real * cosine + imaginary * sine", "real * cosine - imaginary * sine"),
-    "whole turns": ("baseband", "half_turns_per_sample + whole_turn(whole, turn_per_sample)", "half_turns_per_sample"),
+    "carrier's sign": ("baseband", "b * cosine - a * sine", "b * cosine + a * sine"),
+    "real part's sign": ("baseband", "a * cosine + b * sine", "a * cosine - b * sine"),
+    "whole turns": ("baseband", "(float)(int)((ulong)(long)whole * turn_per_sample >> 32) * 4.65661287e-10f", "0.0f"),
     "samples from the block's middle": ("baseband", "(delay + p) + nearest(moved)", "(delay + p)"),
     "rest of the delay": ("baseband", "d[0] -= rounded(moved)", "d[0] -= 0.0f"),
     "gain's even part": ("tracks", "0.125f * (s3 - s1)", "0.125f * (s1 - s3)"),
     "gain's odd part": ("tracks", "d3 * (1.0f / 24.0f) - 0.125f * d1", "d3 * (1.0f / 24.0f) - 0.225f * d1"),
-    "turn of a delay off by one": ("baseband", "+ whole_turn(whole,", "+ whole_turn(whole + 1,"),
-    "imaginary rows": ("baseband", "y = x + (count) * (long)stride", "y = x"),
+    "turn of a delay off by one": ("baseband", "(ulong)(long)whole *", "(ulong)(long)(whole + 1) *"),
+    "imaginary rows": ("baseband", "x + ((q) + COUNT(0)) * (long)stride", "x + (q) * (long)stride"),
+    "rows of other functions": ("baseband", "(2 * ROWS_BEFORE(k) + (q))", "(2 * ROWS_BEFORE(k) + (q) / 2)"),
+    "imaginary rows of other functions": ("baseband", "COUNT(k) + (q)", "(q)"),
+    "gain of other functions": ("baseband", "r0 = here * inverse", "r0 = here"),
     "parity of half turns": ("baseband", "(nearest(x) & 1) << 31", "(nearest(x) & 2) << 30"),
     "last term of the cosine": ("baseband", "(-1.331880173f + s * 0.2196968188f)", "(-1.331880173f)"),
     "last term of the sine": ("baseband", "(-0.5980451734f + s * 0.07722012749f)", "(-0.5980451734f)"),
     "a sample late": ("baseband", "branches + lead + at", "branches + lead + at - 1"),
-    "a branch skipped": ("baseband", "for (int q = 1; q < (count)", "for (int q = 2; q < (count)"),
-    "gain's slope": ("baseband", "(paths->gain[k][1][p] * t", "(-paths->gain[k][1][p] * t"),
+    "a branch skipped": ("baseband", "q = COUNT(0) - 2; q >= 0", "q = COUNT(0) - 2; q >= 1"),
+    "gain's slope": ("baseband", "gain = paths->gain[0][1][p] * t", "gain = -paths->gain[0][1][p] * t"),
     "place in the block": ("baseband", "((float)inside + 0.5f", "((float)at + 0.5f"),
     "another block's row": ("baseband", "row = first_block + block;", "row = first_block;"),
-    "first path's rest for all": ("baseband", "paths->delay[i][p]", "paths->delay[i][0]"),
+    "first path's rest for all": ("baseband", "mu = mu * t + paths->delay[i][p];\n#pragma unroll", "mu = mu * t + paths->delay[i][0];\n#pragma unroll"),
     "first group's sum alone": ("baseband", "real_sum[g - first] += real", "real_sum[0] += real"),
+    "parts of a stream": ("branches", "part * stream", "(1 - part) * stream"),
+    "rows of a part": ("branches", "part * count", "(1 - part) * count"),
     "septic's centre": ("tracks", "13.0 * s3 - 162.0 * t1", "13.0 * s3 + 162.0 * t1"),
     "septic's slope": ("tracks", "5.0 * d3 - 162.0 * u1", "5.0 * d3 + 162.0 * u1"),
     "septic's cubic term": ("tracks", "19.0 / 1152.0 * u3", "19.0 / 1052.0 * u3"),

@@ -142,8 +142,8 @@ def test_kernels_as_they_are_pass(difference_db, kind: str, layout: Layout | Non
 
 
 MUTANTS = {
-    "one tap further": ("branches", "tap_count - 1 - k]", "tap_count - 1 - (k + 1) % tap_count]"),
-    "tap order": ("branches", "(row + 1) * tap_count - 1 - k", "row * tap_count + k"),
+    "one tap further": ("branches", "tap[i] * x", "tap[((k + 1) % tap_count - k) * ROWS + i] * x"),
+    "tap order": ("branches", "at++, tap += ROWS", "at++, tap = taps + (block * tap_count + tap_count - 1 - k) * ROWS"),
     "row of the bank": ("render", "branches + (rows - 1)", "branches + (rows - 2)"),
     "a sample late": ("render", "PLACE(-paths->whole[p], stride);", "PLACE(-1 - paths->whole[p], stride);"),
     "rate's sign": ("render", "sample[j] * paths->curve[p] + paths", "sample[j] * paths->curve[p] - paths"),
@@ -227,7 +227,7 @@ ELSEWHERE = {
     "bend dropped": ("near", "render", "* sample[j] + slope) * sample[j] + gain", "* 0.0f + slope) * sample[j] + gain"),
     "flex dropped": ("near", "render", "(sample[j] * flex + bend)", "bend"),
     "the other phase": ("doubled", "render", "((ahead) & 1) * ((stride) / 2)", "(~(ahead) & 1) * ((stride) / 2)"),
-    "one phase for both": ("doubled", "branches", "at % OVERSAMPLING * (stride", "0 * (stride"),
+    "one phase for both": ("doubled", "branches", "place % OVERSAMPLING * (stride", "0 * (stride"),
     "delays in the recording's samples": ("doubled", "tracks", "branch_rate = run.oversampling * run.sampling_rate", "branch_rate = run.sampling_rate"),
     "rates in the recording's samples": ("doubled", "tracks", "0.5 * run.oversampling * run.block_samples", "0.5 * run.block_samples"),
     "receiver's direction": ("lopsided", "tracks", "-(float)inner(receiver_frame[1], a->arrival), -(float)inner(receiver_frame[2], a->arrival), &r)", "(float)inner(receiver_frame[1], a->arrival), -(float)inner(receiver_frame[2], a->arrival), &r)"),

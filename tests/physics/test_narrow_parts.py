@@ -104,7 +104,7 @@ MUTANTS = {
     "middle of a stretch": ("((float)stretch + 0.5f) * length", "(float)stretch * length"),
     "stretch of a delay": ("(int)(beyond * per_length)", "(int)(beyond * length)"),
     "signals of a stretch": ("&from_middle) * rows", "&from_middle) * 0"),
-    "even and odd branches": ("if (q & 1) multiply", "if (!(q & 1)) multiply"),
+    "even and odd branches": ("if (COUNT(0) - q & 1) multiply", "if (!(COUNT(0) - q & 1)) multiply"),
 }
 
 
@@ -245,6 +245,9 @@ def test_rest_and_narrow_part_add_up_to_the_signal() -> None:
     assert isinstance(filters, NarrowFilters)
     left, upsampler = rest.emitted_samples(-4000, 196_000), plan.allocation.narrow[0].upsampler
     assert np.mean(left != 0.0) < 0.03  # but for onset and end there is silence
+    assert rest.is_silent(40_000, 150_000)
+    assert not np.any(left[44_000:154_000])
+    assert [rest.is_silent(*ends) for ends in ((-4000, 40_000), (150_000, 196_000))] == [False, False]
     whole = rest.signal.read(-4000, 196_000)
     narrow = np.zeros(200_000)
     every, reach = upsampler.every, upsampler.reach

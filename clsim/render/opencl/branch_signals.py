@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from clsim.arrays import Floats
 from clsim.errors import ClsimError, InputError
 from clsim.opencl.device import FLOAT64, MOST_INDEX, SHARE, DeviceInfo, check_buffers, operations_in_launch
 from clsim.opencl.launch import Compiler, Scratch, upload, work
@@ -87,7 +87,7 @@ class Limits:
 
 
 _CHOSEN_ANEW = 2  # segments for which the active paths are chosen anew, where some begin or end
-_VECTORS = 8  # of samples that a work-item filters
+_VECTORS, _ROWS = 2, 3  # of samples and of branches that a work-item filters: their sums stay in registers
 _MARGIN = 64  # samples of branch signal beyond the bounds of the delays
 
 
@@ -144,6 +144,13 @@ class Task:
     share: float = field(default=1.0, kw_only=True)  # of the square of the allowed error
 
 
+def _side_by_side(taps: Floats) -> NDArray[np.float32]:
+    """Return taps (rows, L) as the kernel takes them: some rows side by side, the last tap first."""
+    filled = np.zeros((-(-len(taps) // _ROWS) * _ROWS, taps.shape[1]), np.float32)
+    filled[: len(taps)] = taps[:, ::-1]
+    return np.ascontiguousarray(filled.reshape(-1, _ROWS, taps.shape[1]).swapaxes(1, 2))
+
+
 class BranchSignals:
     """Makes the branch signals of one chunk and source after the other, and looks ahead to the next."""
 
@@ -154,6 +161,7 @@ class BranchSignals:
         self._lanes, self._parts, self._chunk = lanes, parts, chunk
         self._upload = partial(upload, queue.context)
         self.last = plan.samples  # from which on nothing is prepared
+        self._longest_delay = plan.tracks.longest_delay(0.0, plan.duration)
         self.of_few = False  # whether so few paths are active at a time that their activity always pays
         self._emitted: tuple[tuple[int, int], int, Any] | None = None  # rows and samples, and where they are not zero
         self._written: tuple[tuple[int, int], Activity] | None = None  # branches kept in memory, silent elsewhere
@@ -208,7 +216,12 @@ class BranchSignals:
     def _feed(self, source: int, start: int, length: int) -> Feed | None:
         """Return the part of a signal that can arrive in a chunk; None if it is zero."""
         filters, rate = self._plan.source_filters[source], self._plan.sampling_rate
-        active = self.active(source, start, length)
+        reach = max(max(bank.before, bank.centre + 1) for bank in filters.banks) + 2 * _MARGIN
+        earliest = start - math.ceil((self._longest_delay + filters.start) * rate)
+        silent = filters.is_silent(
+            filters.oversampling * (earliest - reach), filters.oversampling * (start + length + reach)
+        )
+        active = [] if silent else self.active(source, start, length)
         if not active:
             return None
         times = filters.oversampling
@@ -240,18 +253,21 @@ class BranchSignals:
         out, following = self._rows(self._parts * int(filters.rows[-1]), stride, found)
         emitted, samples = self._emit(feed)
         lanes = 2 * self._lanes if self._lanes > 1 and feed.width % (2 * _VECTORS * self._lanes) == 0 else self._lanes
-        channel = _VECTORS * lanes
-        constants = {"LANES": lanes, "VECTORS": _VECTORS, "OVERSAMPLING": filters.oversampling, "CELL": CELL}
+        constants = {
+            "LANES": lanes, "VECTORS": _VECTORS, "ROWS": _ROWS, "PARTS": self._parts, "CELL": CELL,
+            "OVERSAMPLING": filters.oversampling,
+        }  # fmt: skip
         kernel = self._compiler.kernel("branches", constants)
-        first_rows = filters.rows[:: 1 + int(filters.basis.paired)]
-        for (k, bank), part in itertools.product(enumerate(filters.banks), range(self._parts)):
+        own, first_rows = filters.banks_of_stretch, filters.rows[:: 1 + int(filters.basis.paired)]
+        stretches, all_rows = len(filters.banks) // len(own), int(first_rows[len(own)])
+        for k, bank in enumerate(own):
             rows, taps = bank.taps.shape
             kernel(
-                self._queue, work(feed.width // channel, rows), emitted=emitted,
-                first_emitted=(k * self._parts + part) * samples + feed.before - bank.before,
-                taps=bank.taps, tap_count=taps, width=feed.width, stride=stride,
-                first_row=self._parts * first_rows[k] + part * rows, rows=out,
-                sparse=found is not None, following=following,
+                self._queue, work(feed.width // (_VECTORS * lanes), -(-rows // _ROWS), self._parts * stretches),
+                emitted=emitted, first_emitted=k * self._parts * samples + feed.before - bank.before, stream=samples,
+                stretch=len(own) * self._parts * samples, taps=_side_by_side(bank.taps), tap_count=taps, count=rows,
+                width=feed.width, stride=stride, first_row=self._parts * first_rows[k],
+                stretch_rows=self._parts * all_rows, rows=out, sparse=found is not None, following=following,
             )  # fmt: skip
         return Branches(out, stride, feed.first, feed.least, feed.most, found)
 

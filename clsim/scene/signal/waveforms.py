@@ -13,13 +13,16 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, as_count, read_only, short_repr
+from clsim.arrays import Complexes, Floats, as_count, read_only, short_repr
 from clsim.errors import InputError
 from clsim.numerics.convolution import Resampler, band_pass
 
+_SWEPT = 64  # samples of a sweep, over which a turn is that of one frequency
 _TONE_BLOCK = 4096  # samples of a tone that share one exact phase
 _NOISE_BLOCK = 4096  # samples drawn from one stream of the generator
 _NOISE_HALF = 384  # taps on either side of the noise's band filter
+_NOISE_FILTERED = 4 * _NOISE_BLOCK  # samples that are filtered at a time
+_NOISE_SIZE = 17280  # of their transforms, with so many taps on either side; few prime factors
 _NOISE_SHAPE = 12.3  # of the window
 _NOISE_EDGE = 0.0051  # of the sampling rate, from the ends of the band to -120 dB
 SEQUENCES = ("mls", "gold")
@@ -115,14 +118,25 @@ class Chirp:
         return _count(self.duration, sampling_rate)
 
     def read(self, first: int, last: int, sampling_rate: float) -> Floats:
-        t = np.arange(first, last, dtype=np.float64) / sampling_rate
         if self.method == "linear" or self.start == self.stop:
-            cycles = t * (self.start + 0.5 * (self.stop - self.start) / self.duration * t)
+            out = self._linear(first, last, sampling_rate)
         else:
             growth = math.log(self.stop / self.start) / self.duration
+            t = np.arange(first, last, dtype=np.float64) / sampling_rate
             cycles = self.start * np.expm1(growth * t) / growth
-        out = self.amplitude * np.sin(2.0 * math.pi * (cycles - np.floor(cycles)))
+            out = self.amplitude * np.sin(2.0 * math.pi * (cycles - np.floor(cycles)))
         return _faded(out, first, sampling_rate, self.duration, self.fade)
+
+    def _linear(self, first: int, last: int, sampling_rate: float) -> Floats:
+        """Return samples of a linear sweep before it is faded, by blocks: products of turns take less than sines."""
+        begin, growth = first // _TONE_BLOCK, (self.stop - self.start) / self.duration
+        t = np.arange(begin, -(-last // _TONE_BLOCK)) * (_TONE_BLOCK / sampling_rate)
+        cycles, per_sample = t * (self.start + 0.5 * growth * t), (self.start + growth * t) / sampling_rate
+        coarse = self.amplitude * _turned(cycles[:, None] + per_sample[:, None] * np.arange(0, _TONE_BLOCK, _SWEPT))
+        turned: Any = coarse[:, :, None] * _turned(per_sample[:, None] * np.arange(_SWEPT))[:, None]
+        cosine, sine = _sweep_angles(growth / sampling_rate**2)
+        whole: Floats = turned.imag * cosine + turned.real * sine
+        return whole.ravel()[first - begin * _TONE_BLOCK : last - begin * _TONE_BLOCK]
 
     def steady_band(self, sampling_rate: float, first: int, last: int) -> tuple[float, float]:
         """Return the lowest and the highest frequency from a sample to another, Hz."""
@@ -213,11 +227,9 @@ class Noise:
         return _count(self.duration, sampling_rate)
 
     def read(self, first: int, last: int, sampling_rate: float) -> Floats:
-        band = self.band
-        block = partial(_white_block, self.seed)
-        if band is not None:
-            block = partial(_noise_block, self.seed, band, sampling_rate)
-        out = self.rms * _of_blocks(block, first, last)
+        block, ends = partial(_noise_block, self.seed, self.band, sampling_rate), (first, last)
+        unit = white_noise(self.seed, *ends) if self.band is None else _of_blocks(block, *ends, _NOISE_FILTERED)
+        out = self.rms * unit
         return _faded(out, first, sampling_rate, self.duration, self.fade)
 
     def at_rate(self, old: float, new: float) -> Noise:
@@ -284,31 +296,29 @@ class Samples:
 
 def white_noise(seed: int, first: int, last: int) -> Floats:
     """Return samples `first` to `last` of endless Gaussian noise of unit variance, the same however they are cut."""
-    return _of_blocks(partial(_white_block, seed), first, last)
+    return _of_blocks(partial(_white_block, seed), first, last, _NOISE_BLOCK)
 
 
-def _of_blocks(block: Callable[[int], Floats], first: int, last: int) -> Floats:
-    """Return samples `first` to `last` of what is made block by block."""
-    start = first // _NOISE_BLOCK
-    blocks = [block(k) for k in range(start, -(-last // _NOISE_BLOCK))]
-    return np.concatenate(blocks)[first - start * _NOISE_BLOCK : last - start * _NOISE_BLOCK]
+def _of_blocks(block: Callable[[int], Floats], first: int, last: int, size: int) -> Floats:
+    """Return samples `first` to `last` of what is made in blocks of a size."""
+    start = first // size
+    blocks = [block(k) for k in range(start, -(-last // size))]
+    return np.concatenate(blocks)[first - start * size : last - start * size]
 
 
-@lru_cache(maxsize=4)  # neighbours of a block that is filtered
+@lru_cache(maxsize=4)  # neighbours of blocks that are filtered
 def _white_block(seed: int, k: int) -> Floats:
     """Return block k of endless white noise."""
     stream = np.random.Philox(key=np.array([seed % 2**64, k % 2**64], dtype=np.uint64))
     return np.random.Generator(stream).standard_normal(_NOISE_BLOCK)
 
 
-@lru_cache(maxsize=512)  # 16 MiB: planning looks at what rendering reads again
+@lru_cache(maxsize=128)  # 16 MiB: planning looks at what rendering reads again
 def _noise_block(seed: int, band: tuple[float, float], sampling_rate: float, k: int) -> Floats:
     """Return block k of endless noise through a band's filter, by overlap-save: the same however it is read."""
-    white = white_noise(seed, k * _NOISE_BLOCK - _NOISE_HALF, (k + 1) * _NOISE_BLOCK + _NOISE_HALF)
-    length = _NOISE_BLOCK + 2 * _NOISE_HALF
-    return np.asarray(
-        scipy.fft.irfft(scipy.fft.rfft(white) * _band_response(*band, sampling_rate), length)[2 * _NOISE_HALF :]
-    )
+    white = white_noise(seed, k * _NOISE_FILTERED - _NOISE_HALF, (k + 1) * _NOISE_FILTERED + _NOISE_HALF)
+    spectrum: Any = scipy.fft.rfft(white, _NOISE_SIZE) * _band_response(*band, sampling_rate)
+    return np.asarray(scipy.fft.irfft(spectrum, _NOISE_SIZE)[2 * _NOISE_HALF :][:_NOISE_FILTERED])
 
 
 @lru_cache(maxsize=16)
@@ -320,11 +330,22 @@ def _block_angles(frequency: float, sampling_rate: float) -> tuple[Floats, Float
 
 
 @lru_cache(maxsize=16)
+def _sweep_angles(growth: float) -> tuple[Floats, Floats]:
+    """Return the cosine and sine of the phase that a growing frequency adds over one block, cycles a sample squared."""
+    angles = math.pi * growth * np.arange(_TONE_BLOCK, dtype=np.float64).reshape(-1, _SWEPT) ** 2
+    return np.cos(angles), np.sin(angles)
+
+
+def _turned(cycles: Any) -> Complexes:
+    return np.asarray(np.exp(2j * math.pi * (cycles - np.floor(cycles))))
+
+
+@lru_cache(maxsize=16)
 def _band_response(low: float, high: float, sampling_rate: float) -> NDArray[np.complex128]:
     """Return the spectrum, over one block, of a linear-phase band filter of unit noise gain."""
     half_rate = 0.5 * sampling_rate
     taps = band_pass(max(low, 0.0) / half_rate, high / half_rate, 2 * _NOISE_HALF + 1, _NOISE_SHAPE)
-    return np.asarray(scipy.fft.rfft(taps / np.linalg.norm(taps), _NOISE_BLOCK + 2 * _NOISE_HALF))
+    return np.asarray(scipy.fft.rfft(taps / np.linalg.norm(taps), _NOISE_SIZE))
 
 
 def _faded(out: Floats, first: int, sampling_rate: float, duration: float, fade: float) -> Floats:

@@ -12,7 +12,7 @@ import pytest
 
 import clsim
 from clsim.opencl import launch
-from clsim.opencl.device import able_processor, find_device, list_devices
+from clsim.opencl.device import able_processor, better_name, find_device, list_devices
 from clsim.opencl.launch import (
     ALONE,
     DECLARATIONS,
@@ -83,6 +83,18 @@ def test_a_processor_is_one_whose_instructions_are_all_there(flags: str, name: s
     assert able_processor(flags.split()) == name
 
 
+@pytest.mark.parametrize(
+    ("known", "more", "name"),
+    [
+        ("znver3", "", "znver3"),
+        ("znver3", " avx512f avx512bw avx512cd avx512dq avx512vl", "skylake-avx512"),
+        ("generic", "", "haswell"),
+    ],
+)
+def test_later_processors_of_amd_use_all_their_instructions(known: str, more: str, name: str) -> None:
+    assert better_name(known, (AVX2 + more).split()) == name
+
+
 @pytest.mark.skipif(sys.platform != "linux" or os.uname().machine != "x86_64", reason="PoCL's name for it is good here")
 def test_pocl_builds_where_it_does_not_know_the_processor(tmp_path: Path) -> None:
     if not any(device.platform == "Portable Computing Language" for device in list_devices()):
@@ -143,7 +155,7 @@ __kernel void told(const numbers run, /* a, b */ __global const float4* restrict
     assert list(found) == ["run", *wanted, "key"]
     assert found == {"run": found["run"], **wanted, "key": Argument("ulong")}
     assert found["run"].layout == np.dtype([("wide", "f8"), ("three", "f8", 3), ("count", "i4")], align=True)
-    assert PROGRAMS["branches"].constants == {"LANES", "VECTORS", "OVERSAMPLING", "CELL"}
+    assert PROGRAMS["branches"].constants == {"LANES", "VECTORS", "ROWS", "PARTS", "OVERSAMPLING", "CELL"}
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
