@@ -361,6 +361,10 @@ class Motion:
 
     def _peak_at(self, instants: Instants) -> tuple[float, float]:
         """Return the largest speed at some instants to nine digits, m/s, and when it is reached, s."""
+        if instants.count <= _BATCH:
+            speeds = np.linalg.norm(self.velocity(instants.times(np.arange(instants.count))), axis=1)
+            first = int(np.argmax(speeds >= speeds.max() * (1.0 - _SAME)))
+            return float(speeds[first]), float(instants.times(np.array(first)))
         best = (float(np.linalg.norm(self.velocity(instants.start))), instants.start)
 
         def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:
