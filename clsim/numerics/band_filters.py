@@ -38,7 +38,7 @@ _NOTHING = 1e-9  # of the largest coefficient
 _FAR = 10.0  # times the allowed error, beyond which lengths are tried in longer steps
 _LONG = 512  # taps on either side, from which on likewise: the design costs more than what they take to apply
 _FALLS = 1.3  # times as fast as from one length to the next, at most, errors are taken to fall over those after it
-_BETWEEN = 4  # places between neighbouring points at which deviations are evaluated
+_BETWEEN, _EVALUATED = 4, 512  # places between neighbouring points, and in all at least, where errors are evaluated
 _MANY, _SPLINE = 256, 5  # cosines, of which sums are evaluated by splines of an order: terms so high are weak
 _AT_ONCE = 512  # taps for which exponentials are worked out; those of others follow
 _FEW = 64  # multiples of an angle whose cosines are evaluated; those of others follow from the sums of angles
@@ -78,7 +78,8 @@ def band_filters(
     """
     edges, count = 2.0 * math.pi * np.array([low, high]) / sampling_rate, len(importance)
     points = np.cos(math.pi * (np.arange(count) + 0.5) / count)
-    evaluated_at = np.cos(math.pi * (np.arange(_BETWEEN * count) + 0.5) / (_BETWEEN * count))
+    between = max(_BETWEEN, -(-_EVALUATED // count))
+    evaluated_at = np.cos(math.pi * (np.arange(between * count) + 0.5) / (between * count))
     at, wanted = 0.5 * (edges.sum() + evaluated_at * (edges[1] - edges[0])), _polynomials(coefficients, evaluated_at)
     turns = _turns(at, -(-(LONGEST // 2 + 1) // _FEW))
     half, best, least = _SHORTEST // 2, BandFilters(np.zeros((len(coefficients), 1)), math.inf, low), math.inf
@@ -97,7 +98,7 @@ def band_filters(
         made: Floats | Complexes = _series(even, turns)
         if np.any(odd):
             made = made + 1j * _series(odd, turns, 1)
-        left = np.abs(made - wanted).reshape(len(even), count, _BETWEEN).max(axis=2)
+        left = np.abs(made - wanted).reshape(len(even), count, between).max(axis=2)
         reached = error(left)
         if reached < least:
             worst = 0.5 * (low + high + points[int(np.argmax((left * importance).max(axis=0)))] * (high - low))

@@ -14,7 +14,7 @@ from clsim.arrays import Complexes, Floats, firsts, ranges
 from clsim.numerics.band_filters import chebyshev_points
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 
-GRIDS = (129, 387, 1161)  # frequencies of a band at which responses are looked at: the first number that resolves them
+GRIDS = (65, 129, 387, 1161)  # frequencies at which responses are looked at: the first number that resolves them
 IN_CACHE = 8192  # arrivals that are worked on together: larger arrays are fresh memory at every step
 _QUIETEST = 1e-3  # weight of frequencies at which a signal has next to nothing
 _FAINTEST = 1e-4  # energy received of a window, relative to its centre frequency, that is requested
