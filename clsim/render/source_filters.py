@@ -202,7 +202,7 @@ class Emission:
         return banks
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class SourceFilters:
     """One source's signal and the filters for it."""
 

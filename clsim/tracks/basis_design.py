@@ -60,7 +60,7 @@ def scene_basis(
     late = drawn.common_delay(band_at(drawn.grids[0]), sampling_rate)
     for count in drawn.grids:
         band, fine = (replace(band_at(n), late=late) for n in (count, 3 * count))
-        few = drawn.probe() if drawn.whole and band.high > _WIDE * band.low else drawn
+        few = drawn if drawn.whole and band.high <= _WIDE * band.low else drawn.probe()
         if few is drawn and len(drawn.rows) > _SEVERAL and count < drawn.grids[-1]:
             sampled = replace(drawn, rows=drawn.rows[:1]).responses(fine)
             if float(sampled.relative(_unresolved(sampled.responses)).max()) > allowed:
@@ -74,12 +74,12 @@ def scene_basis(
     )
     if held.resolved_db > WORST_DB:
         held.within(error_db)
-    coarse = replace(sampled, band=band, responses=sampled.responses[:, 1::3].copy())
+    thirds = replace(sampled, band=band, responses=sampled.responses[:, 1::3].copy())
+    every = thirds if few is drawn else drawn.responses(band)
     if drawn.whole:
-        every = coarse if few is drawn else drawn.responses(band)
         sampled, held_out = (every.frames(np.s_[i::2] if len(every.first) > 1 else np.s_[:]) for i in (0, 1))
     else:
-        sampled, held_out = coarse, drawn.responses(band, held_out=True)
+        sampled, held_out = every, drawn.responses(band, held_out=True)
     rows, step = _Rows.of(sampled, paired), 1 + int(paired)
     count = rows.least(_HOPELESS * allowed)
     for attempt in itertools.count(1):

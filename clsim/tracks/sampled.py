@@ -22,8 +22,8 @@ from clsim.tracks.picked import LEAST_WHOLE, SILENT, TIMES, Picked, picked_paths
 from clsim.tracks.tracks import SceneTracks, Tracks
 
 SEED = 20_160_914
-_ROWS = 1024  # responses of which the functions are made
-_HELD_OUT = 4096  # responses at which they are checked
+_ROWS = 768  # responses of which the functions are made
+_HELD_OUT = 2048  # responses at which they are checked
 _COSTLY, _FEWER = (192, 256), 33  # the same, and frequencies, of costly responses
 LEAST_JUMP = 1e-4  # rad/s, of the angular velocity, below which it counts as smooth
 _LATEST = 0.012  # s between the earliest and the latest of responses that can be told
@@ -64,10 +64,10 @@ class Draw:
         return cls(of_scene, source, until, rows, held_out, grids, False, approximate)
 
     def probe(self) -> Draw:
-        """Return the same with few of the instants, where all paths are taken at each."""
+        """Return the same with few of the instants."""
         several = [some for some in self.rows if len(some.first) > 2]
         rows = tuple(some.thinned(_PROBED) for some in several) or self.rows[::_PROBED]
-        return replace(self, rows=rows) if self.whole else self
+        return replace(self, rows=rows)
 
     def responses(self, band: Band, *, held_out: bool = False) -> Sample:
         """Responses over a band of the paths of which functions are made, or of those at which they are checked."""
