@@ -180,7 +180,8 @@ class Sample:
 
     def left(self, shapes: Floats | Complexes) -> float:
         """Return the error of functions that are wrong by so much (K, F), each with a gain of 1 at every instant."""
-        return float(np.linalg.norm(self.sizes(shapes, np.ones((len(self.first), len(shapes))))))
+        shares = np.abs(shapes) ** 2 @ self.band.energy.T / self.received.min(axis=0)  # (K, W)
+        return math.sqrt(float(shares.max(axis=1).sum()))
 
     def wrong(self, left: Floats | Complexes, nodes: NDArray[np.int64]) -> Floats:
         """Largest error over all windows of each frame, (frames,), of errors (n, F) of its rows.
