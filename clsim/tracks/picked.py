@@ -91,8 +91,8 @@ def _of_pair(
         some, weight = _candidates(paths, tracks, last, at_centre, rng)
         paths, start, end = paths.part(some), start[some], end[some]
     at = [np.linspace(0.0, last, instants) for instants, _ in asked]
-    for some in at:  # all but the first and the last anywhere between those halfway to the next ones
-        some[1:-1] += rng.uniform(-0.5, 0.5, len(some) - 2) * some[1]
+    for each in at:  # all but the first and the last anywhere between those halfway to the next ones
+        each[1:-1] += rng.uniform(-0.5, 0.5, len(each) - 2) * each[1]
     of, times = np.repeat(np.arange(len(at)), [len(instants) for instants in at]), np.concatenate(at)
     together = len(times) if family.one_by_one else max(IN_CACHE // max(len(start), 1), 1)
     for begin in range(0, len(times), together):
@@ -106,14 +106,16 @@ def _of_pair(
             mine = np.flatnonzero(of[begin : begin + together] == sample)
             own, when = level[:, mine], part[mine]
             if family.varies and not family.one_by_one and len(start) <= share and own.size and own.all():
-                each = (weight / np.linalg.norm(own, axis=0)).T.reshape(-1, 1)
-                first = tuple(range(0, own.size + 1, len(start)))
+                scale, first = (
+                    (weight / np.linalg.norm(own, axis=0)).T.reshape(-1, 1),
+                    range(0, own.size + 1, len(start)),
+                )
                 here = found.part(np.arange(len(start))[:, None], mine)
-                yield sample, Picked(paths, here, when, each, first, whole)
+                yield sample, Picked(paths, here, when, scale, tuple(first), whole)
                 continue
-            for rows, t, scale, first in _drawn(own, share, rng, together=not family.one_by_one):
+            for rows, t, scale, begins in _drawn(own, share, rng, together=not family.one_by_one):
                 here, now = found.part(rows[:, None], mine[t]), when[t if family.one_by_one else t[0]]
-                yield sample, Picked(paths.part(rows), here, now, scale * weight[rows], first, whole)
+                yield sample, Picked(paths.part(rows), here, now, scale * weight[rows], begins, whole)
 
 
 def _candidates(
