@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from clsim.arrays import Floats, firsts, ranges
 from clsim.paths.family import PairPaths
-from clsim.paths.response import Arrivals, SceneResponse
+from clsim.paths.response import QUASI_STATIC, Arrivals, SceneResponse
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.room.faces import NEAREST
 from clsim.tracks.basis import IN_CACHE
@@ -21,7 +21,7 @@ from clsim.tracks.tracks import SceneTracks
 LEAST_WHOLE = 5  # instants at which at least all paths are taken, where responses are costly
 TIMES = 24  # instants of a run at which the paths of a pair are looked at, fewer where there are many pairs
 TIMES_OF_BANDS = 8  # the same for narrow bands, of ends that receive alike in all directions
-_FRAMES, _ALIKE = 48, 24  # of all pairs, about, and of such ends
+_FRAMES, _ALIKE = 48, 16  # of all pairs, about, and of such ends
 _PER_DISTANCE = 12  # instants for ends that go as far as they are apart at least
 _BEYOND = 0.02  # s after the end of a run up to which nodes lie that its last blocks are made of
 _MOST_TIMES = 256  # of a pair by things whose field changes with every direction: 24 miss its lobes
@@ -88,7 +88,7 @@ def _of_pair(
     family, weight = paths.family, np.ones((len(start), 1))
     last = until + _BEYOND * family.varies
     if len(start) > _MOST_PATHS:
-        some, weight = _candidates(paths, tracks, last, at_centre, rng)
+        some, weight = _candidates(paths, last, at_centre, rng)
         paths, start, end = paths.part(some), start[some], end[some]
     at = [np.linspace(0.0, last, instants) for instants, _ in asked]
     for each in at:  # all but the first and the last anywhere between those halfway to the next ones
@@ -119,12 +119,13 @@ def _of_pair(
 
 
 def _candidates(
-    paths: PairPaths, tracks: SceneTracks, last: float, at_centre: SceneResponse, rng: np.random.Generator
+    paths: PairPaths, last: float, at_centre: SceneResponse, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], Floats]:
     """Return loudest paths at an instant until `last`, as many others, and roots (n, 1) of how many each stands for."""
     instant, half = rng.uniform(0.0, last, 1), _MOST_PATHS // 2
-    found = paths.arrivals(instant, tracks.kinematics)
-    order = np.argsort(-np.abs(paths.family.response(paths.rows, found, instant, at_centre)[:, 0, 0]), kind="stable")
+    found = paths.arrivals(instant, QUASI_STATIC)  # near enough, and not solved for
+    level = np.abs(paths.family.response(paths.rows, found, instant, at_centre)[:, 0, 0])
+    order = np.argpartition(-level, half)
     weight = np.zeros((len(order), 1))
     weight[rng.choice(order[half:], half, replace=False)] = math.sqrt((len(order) - half) / half)
     weight[order[:half]] = 1.0

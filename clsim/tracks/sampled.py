@@ -87,8 +87,9 @@ class Draw:
                 shapes = family.of_channels(some.paths, some.found, some.times, at)
             along = np.swapaxes(shapes, 1, 2).reshape(len(shapes), -1, shapes.shape[3])
             if band.late != 0.0:
-                along = along * np.conj(band.turn)
-            along, spans = along * some.scale, list(pairwise(some.first))
+                along *= np.conj(band.turn)
+            along *= some.scale
+            spans = list(pairwise(some.first))
             if some.whole:
                 energy = np.mean(np.abs(along[:, :, middle]) ** 2, axis=0)
                 if family.adds:
