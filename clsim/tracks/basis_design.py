@@ -215,16 +215,18 @@ class _Functions:
         # A tone is next to all there is: a node must lie on it.
         loudest = int(np.median(np.flatnonzero(weight >= weight.max())))
         nodes[np.argmin(np.abs(nodes - loudest))] = loudest
-        emphasis = np.ones(len(first))
+        emphasis, worst = np.ones(len(first)), math.inf
         lengths = np.diff([*first.tolist(), len(rows.places)])
-        for _ in range(_EMPHASES):
+        for more in range(_EMPHASES, 0, -1):
             each = np.repeat(emphasis, lengths)[:, None]
             _, _, vectors = np.linalg.svd(_square(each * rows.places), full_matrices=False)
             shapes = rows.shapes(vectors, count)
             functions = _Functions(shapes, nodes, _projection(shapes, nodes, weight))
-            wrong = functions.error(rows)
+            wrong, before = functions.error(rows), worst
             worst = float(wrong.max())
-            if not allowed < worst < _HOPELESS * allowed:
+            # As it falls from one weight to the next, it may not come down to what is allowed.
+            hopeless = worst * (worst / before) ** (more - 1) > allowed
+            if hopeless or not allowed < worst < _HOPELESS * allowed:
                 break
             emphasis *= 1.0 + 3.0 * wrong / worst
         return replace(functions, worst=worst)
