@@ -24,7 +24,7 @@ _HOPELESS = 4.0  # times the bound, from which on another weight does not help
 _WIDE = 4.0  # times the lower end of a band, from which on its upper end asks for a grid that is looked for by few
 _OF_FEW = 0.3  # times the bound, up to which few instants tell of all
 _ROUNDING = 1e-9  # of the largest singular value, below which there is nothing but rounding
-_LARGE, _SUMS = 256, 96  # rows and columns, beyond which their range is that of so many random sums
+_LARGE, _SUMS = 256, (32, 96)  # rows and columns, beyond which their range is that of so many random sums
 _SEVERAL = 4  # parts of a sample, from which on one is looked at before the others
 _MARGIN_DB = 1.0  # by which the functions are better than asked, so that unseen responses are as good
 _FILTER_MARGIN_DB = 6.0  # by which the filters are better than that
@@ -257,8 +257,8 @@ def _axes(rows: Any) -> tuple[Floats, Any]:
     A few random sums of large ones hold their range (N. Halko, P. G. Martinsson, J. A. Tropp, "Finding structure with
     randomness", SIAM Rev. 53(2), 2011, algorithm 4.1). It is seen in the last singular value if they are too few.
     """
-    if min(rows.shape) > _LARGE:
-        sums = np.random.default_rng(0).standard_normal((_SUMS, len(rows))) @ rows
+    for count in _SUMS if min(rows.shape) > _LARGE else ():
+        sums = np.random.default_rng(0).standard_normal((count, len(rows))) @ rows
         within = np.linalg.qr(sums.conj().T)[0].conj().T
         _, sizes, axes = np.linalg.svd(rows @ within.conj().T, full_matrices=False)
         if sizes[-1] < _ROUNDING * sizes[0]:
