@@ -80,17 +80,17 @@ def picked_paths(
 
 
 def _of_pair(
-    tracks: SceneTracks, pair: int, until: float, asked: list[tuple[int, int]], at_centre: SceneResponse,
+    tracks: SceneTracks, pair: int, until: float, samples: list[tuple[int, int]], at_centre: SceneResponse,
     rng: np.random.Generator, whole: bool,
 ) -> Iterator[tuple[int, Picked]]:  # fmt: skip
-    """Yield the number of a sample and some of a pair's paths in it; `asked`: instants of each, and paths at each."""
+    """Yield the number of a sample and some of a pair's paths in it; `samples`: instants of each, and paths at each."""
     paths, start, end = tracks.pair_paths[pair], tracks.pairs[pair].start, tracks.pairs[pair].end
     family, weight = paths.family, np.ones((len(start), 1))
     last = until + _BEYOND * family.varies
     if len(start) > _MOST_PATHS:
         some, weight = _candidates(paths, last, at_centre, rng)
         paths, start, end = paths.part(some), start[some], end[some]
-    at = [np.linspace(0.0, last, instants) for instants, _ in asked]
+    at = [np.linspace(0.0, last, instants) for instants, _ in samples]
     for each in at:  # all but the first and the last anywhere between those halfway to the next ones
         each[1:-1] += rng.uniform(-0.5, 0.5, len(each) - 2) * each[1]
     of, times = np.repeat(np.arange(len(at)), [len(instants) for instants in at]), np.concatenate(at)
@@ -102,7 +102,7 @@ def _of_pair(
         level = 1.0 if whole else np.abs(family.unshaded(paths.rows, found, part, at_centre)[..., 0])
         level = np.where(received, level, 0.0) * weight
         level[level < SILENT] = 0.0
-        for sample, (_, share) in enumerate(asked):
+        for sample, (_, share) in enumerate(samples):
             mine = np.flatnonzero(of[begin : begin + together] == sample)
             own, when = level[:, mine], part[mine]
             if family.varies and not family.one_by_one and len(start) <= share and own.size and own.all():

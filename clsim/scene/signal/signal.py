@@ -182,8 +182,8 @@ class Signal:
         windowed = each * _hann(length)
         energy = np.einsum("wn,wn->w", windowed, windowed)
         level = np.maximum(np.maximum(energy[:-2], energy[1:-1]), energy[2:]) * length
-        sounding = np.any((samples != 0.0).reshape(-1, hop), axis=1)
-        emitting = sounding[1:-2] | sounding[2:-1]
+        active = np.any((samples != 0.0).reshape(-1, hop), axis=1)
+        emitting = active[1:-2] | active[2:-1]
         return np.where(emitting, level, 0.0), _squared(scipy.fft.rfft(windowed[1:-1], axis=1))
 
     def band(self) -> tuple[float, float]:
