@@ -76,3 +76,38 @@ def test_ends_that_hardly_move_need_few_instants() -> None:
     slow = tracks(0.1)
     heard = dataclasses.replace(slow.pairs[0], end=np.where(np.arange(len(slow.pairs[0])) == 1, 0.5, np.inf))
     assert picked._instants(dataclasses.replace(slow, pairs=(heard,)), 0, 1.0, most) == most
+
+
+def test_loud_paths_are_drawn_surely_and_others_as_often_as_they_are_loud(rng: np.random.Generator) -> None:
+    """What drawn paths stand for is all of the energy: shares of weights on levels of most different sizes."""
+    level = rng.exponential(size=(300, 40)) ** 3
+    level[:, 3], level[20:, 4] = 0.0, 0.0  # silence, and few paths
+    chance = picked._chances(level, 50)
+    np.testing.assert_allclose(np.delete(chance.sum(axis=0), [3, 4]), 50.0)
+    assert not chance[:, 3].any()
+    assert np.array_equal(chance[:, 4], level[:, 4] > 0.0)
+    sure = chance >= 1.0
+    assert all(
+        level[sure[:, t], t].min() > level[~sure[:, t], t].max() for t in np.flatnonzero(sure[:, :3].any(axis=0))
+    )
+    energy = np.zeros(40)
+    for rows, at, scale, first in picked._drawn(level, 50, rng, together=False):
+        assert np.array_equal(first, np.searchsorted(at[:, 0], [*np.unique(at), at.max() + 1]))
+        drawn = scale[:, 0] ** 2 * level[rows, at[:, 0]] ** 2  # of each, relative to all of the instant
+        energy += np.bincount(at[:, 0], drawn, 40)
+    assert energy[3] == 0.0
+    np.testing.assert_allclose(energy[4], 1.0)
+    np.testing.assert_allclose(np.delete(energy, 3), 1.0, atol=0.15)
+
+
+def test_both_samples_have_instants_of_their_own_spread_over_the_run() -> None:
+    of_scene = tracks(3.5)
+    first, second = picked.picked_paths(of_scene, 0, 1.0, (400, 800), np.random.default_rng(1))
+    times = [np.unique(np.concatenate([some.times[:, 0] for some in drawn])) for drawn in (first, second)]
+    assert [len(t) for t in times] == [16, 16]
+    assert len(np.intersect1d(*times)) == 2  # begin and end
+    for t in times:
+        assert np.all(np.abs(t - np.linspace(0.0, 1.0, 16)) <= 0.5 / 15 + 1e-12)
+    rows = [sum(some.first[-1] for some in drawn) for drawn in (first, second)]
+    assert 350 < rows[0] <= 420
+    assert 350 < rows[1] <= 16 * len(of_scene.pairs[0])
