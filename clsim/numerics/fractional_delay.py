@@ -205,7 +205,7 @@ def design_tilted(
     """
     delays = _rectangle(mu_max, nu_max)
     delays = delays[: len(delays) // 2]  # the others mirror these
-    allowed, w = 10 ** (error_db / 20), _looked_at(cutoff, _FREQUENCIES // 4)
+    allowed, w = 10 ** (error_db / 20), _test_frequencies(cutoff, _FREQUENCIES // 4)
     weight = _importance_at(w, cutoff, importance)
     wanted = np.exp(-1j * np.outer(delays, w))
 
@@ -302,13 +302,13 @@ def bank_error(
 
     Shapes: taps (branches, length).
     """
-    response, w = _turns(cutoff, taps.shape[1], centre) @ taps.T, _looked_at(cutoff)
+    response, w = _turns(cutoff, taps.shape[1], centre) @ taps.T, _test_frequencies(cutoff)
     powers = np.vander(mu_max * (_FIRST_DELAYS if few else _DELAYS), len(taps), increasing=True)
     left = np.abs(response @ powers.T - _delayed(cutoff, mu_max, shift, few))
     return float(np.max(left * _importance_at(w, cutoff, importance)[:, None]))
 
 
-def _looked_at(cutoff: float, count: int = _FREQUENCIES) -> Floats:
+def _test_frequencies(cutoff: float, count: int = _FREQUENCIES) -> Floats:
     """Return frequencies (count,) from 0 to a cutoff, the closer the nearer to it, where errors change fastest."""
     return np.asarray(cutoff * np.sin(np.linspace(0.0, 0.5 * math.pi, count)))
 
@@ -317,13 +317,13 @@ def _looked_at(cutoff: float, count: int = _FREQUENCIES) -> Floats:
 def _delayed(cutoff: float, mu_max: float, shift: float, few: bool) -> NDArray[np.complex128]:
     """Return the responses of pure delays up to the cutoff, (frequencies, delays)."""
     delays = mu_max * (_FIRST_DELAYS if few else _DELAYS) + shift
-    return np.asarray(np.exp(-1j * np.outer(_looked_at(cutoff), delays)))
+    return np.asarray(np.exp(-1j * np.outer(_test_frequencies(cutoff), delays)))
 
 
 @lru_cache(maxsize=16)  # of some 150 KB each
 def _turns(cutoff: float, length: int, centre: int) -> NDArray[np.complex128]:
     """Return the responses of single taps up to the cutoff, (frequencies, length)."""
-    return np.asarray(np.exp(-1j * np.outer(_looked_at(cutoff), np.arange(length) - centre)))
+    return np.asarray(np.exp(-1j * np.outer(_test_frequencies(cutoff), np.arange(length) - centre)))
 
 
 def _importance_at(w: Floats, cutoff: float, importance: tuple[float, ...]) -> Floats:

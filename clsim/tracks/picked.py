@@ -28,6 +28,7 @@ _MOST_TIMES = 256  # of a pair by things whose field changes with every directio
 _TOGETHER = 512  # responses that are worked on together
 _MOST_PAIRS = 16  # pairs of source and receiver looked at
 _MOST_PATHS = 1024  # of each: of more, the loudest half of so many, and as many of the others
+_FAINT = 0.5  # share of the mean level, by which every path is drawn beside its own
 SILENT = 1e-150  # gain, whose square is still a number; what air leaves of 40 kHz after some 2 km
 
 
@@ -85,10 +86,10 @@ def _of_pair(
 ) -> Iterator[tuple[int, Picked]]:  # fmt: skip
     """Yield the number of a sample and some of a pair's paths in it; `samples`: instants of each, and paths at each."""
     paths, start, end = tracks.pair_paths[pair], tracks.pairs[pair].start, tracks.pairs[pair].end
-    family, weight = paths.family, np.ones((len(start), 1))
+    family, weights = paths.family, np.ones((len(start), len(samples)))
     last = until + _BEYOND * family.varies
     if len(start) > _MOST_PATHS:
-        some, weight = _candidates(paths, last, at_centre, rng)
+        some, weights = _candidates(paths, last, at_centre, rng, len(samples))
         paths, start, end = paths.part(some), start[some], end[some]
     at = [np.linspace(0.0, last, instants) for instants, _ in samples]
     for each in at:  # all but the first and the last anywhere between those halfway to the next ones
@@ -100,16 +101,14 @@ def _of_pair(
         found = paths.arrivals(part, tracks.kinematics)
         received = (part >= start[:, None]) & (part < end[:, None])
         level = 1.0 if whole else np.abs(family.unshaded(paths.rows, found, part, at_centre)[..., 0])
-        level = np.where(received, level, 0.0) * weight
+        level = np.where(received, level, 0.0) * weights[:, of[begin : begin + together]]
         level[level < SILENT] = 0.0
         for sample, (_, share) in enumerate(samples):
             mine = np.flatnonzero(of[begin : begin + together] == sample)
-            own, when = level[:, mine], part[mine]
+            own, when, weight = level[:, mine], part[mine], weights[:, sample, None]
             if family.varies and not family.one_by_one and len(start) <= share and own.size and own.all():
-                scale, first = (
-                    (weight / np.linalg.norm(own, axis=0)).T.reshape(-1, 1),
-                    range(0, own.size + 1, len(start)),
-                )
+                scale = (weight / np.linalg.norm(own, axis=0)).T.reshape(-1, 1)
+                first = range(0, own.size + 1, len(start))
                 here = found.part(np.arange(len(start))[:, None], mine)
                 yield sample, Picked(paths, here, when, scale, tuple(first), whole)
                 continue
@@ -119,25 +118,30 @@ def _of_pair(
 
 
 def _candidates(
-    paths: PairPaths, last: float, at_centre: SceneResponse, rng: np.random.Generator
+    paths: PairPaths, last: float, at_centre: SceneResponse, rng: np.random.Generator, samples: int
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Return loudest paths at an instant until `last`, as many others, and roots (n, 1) of how many each stands for."""
+    """Return loudest paths at an instant until `last`, and as many others for each sample.
+
+    Beside their indices (n,) there are roots (n, samples) of how many each stands for, 0 for those of other samples.
+    """
     instant, half = rng.uniform(0.0, last, 1), _MOST_PATHS // 2
     found = paths.arrivals(instant, QUASI_STATIC)  # near enough, and not solved for
     level = np.abs(paths.family.response(paths.rows, found, instant, at_centre)[:, 0, 0])
     order = np.argpartition(-level, half)
-    weight = np.zeros((len(order), 1))
-    weight[rng.choice(order[half:], half, replace=False)] = math.sqrt((len(order) - half) / half)
-    weight[order[:half]] = 1.0
-    some = np.flatnonzero(weight)
-    return some, weight[some]
+    weights = np.zeros((len(order), samples))
+    for weight in weights.T:
+        weight[rng.choice(order[half:], half, replace=False)] = math.sqrt((len(order) - half) / half)
+    weights[order[:half]] = 1.0
+    some = np.flatnonzero(np.any(weights, axis=1))
+    return some, weights[some]
 
 
 def _drawn(
     level: Floats, share: int, rng: np.random.Generator, *, together: bool
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], Floats, tuple[int, ...]]]:
     """Yield rows of `share` paths of each instant by their levels (P, T), instants (n, 1), scales (n, 1) and firsts."""
-    chance = _chances(level, share)
+    # Faint paths are drawn as well: what is faint at the centre frequency may be all that is left of the lowest ones.
+    chance = _chances(np.where(level > 0.0, level + _FAINT * level.mean(axis=0), 0.0), share)
     # The picks of an instant are evenly spaced in the sums of its chances.
     passed = np.floor(np.cumsum(chance, axis=0) - (1.0 - rng.random(level.shape[1])))
     at, rows = np.nonzero(np.diff(passed, axis=0, prepend=-1.0).T > 0.0)
