@@ -28,7 +28,7 @@ _MOST_TIMES = 256  # of a pair by things whose field changes with every directio
 _TOGETHER = 512  # responses that are worked on together
 _MOST_PAIRS = 16  # pairs of source and receiver looked at
 _MOST_PATHS = 1024  # of each: of more, the loudest half of so many, and as many of the others
-_FAINT = 0.2  # share of the mean level, by which every path is drawn beside its own
+_FAINT = 0.35  # share of the mean level, by which every path is drawn beside its own
 SILENT = 1e-150  # gain, whose square is still a number; what air leaves of 40 kHz after some 2 km
 
 
