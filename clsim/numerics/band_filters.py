@@ -5,21 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import scipy
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
-from clsim.arrays import Complexes, Floats
+from clsim.arrays import Complexes, Floats, read_only
 from clsim.numerics.convolution import band_taper, ringing
 
 
 def chebyshev_points(low: float, high: float, count: int) -> Floats:
     """Chebyshev points (count,) of the first kind of an interval, from high to low."""
-    angle = math.pi * (np.arange(count) + 0.5) / count
-    return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * np.cos(angle))
+    return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * _points(count))
+
+
+@lru_cache(maxsize=16)
+def _points(count: int) -> Floats:
+    """Return those of the interval from -1 to 1, read-only."""
+    return read_only(np.cos(math.pi * (np.arange(count) + 0.5) / count))
 
 
 def interpolation(low: float, high: float, count: int, x: Floats) -> Floats:
@@ -38,10 +43,15 @@ _NOTHING = 1e-9  # of the largest coefficient
 _FAR = 10.0  # times the allowed error, beyond which lengths are tried in longer steps
 _LONG = 512  # taps on either side, from which on likewise: the design costs more than what they take to apply
 _FALLS = 1.3  # times as fast as from one length to the next, at most, errors are taken to fall over those after it
-_BETWEEN = 4  # places between neighbouring points at which deviations are evaluated
+_BETWEEN, _EVALUATED = 4, 512  # places between neighbouring points, and in all at least, where errors are evaluated
 _MANY, _SPLINE = 256, 5  # cosines, of which sums are evaluated by splines of an order: terms so high are weak
 _AT_ONCE = 512  # taps for which exponentials are worked out; those of others follow
 _FEW = 64  # multiples of an angle whose cosines are evaluated; those of others follow from the sums of angles
+_FACTORED, _REFINED = (
+    255,
+    2,
+)  # rows, up to which a matrix is factored; and times that others are solved, for what rounding leaves
+_MOST = (63, 255, 1023, LONGEST // 2)  # taps on either side for which what is wanted is summed at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,10 +87,11 @@ def band_filters(
     complex responses ask for a transition there, and for a longer filter the nearer to 0 Hz the band begins.
     """
     edges, count = 2.0 * math.pi * np.array([low, high]) / sampling_rate, len(importance)
-    points = np.cos(math.pi * (np.arange(count) + 0.5) / count)
-    evaluated_at = np.cos(math.pi * (np.arange(_BETWEEN * count) + 0.5) / (_BETWEEN * count))
-    at, wanted = 0.5 * (edges.sum() + evaluated_at * (edges[1] - edges[0])), _polynomials(coefficients, evaluated_at)
-    turns = _turns(at, -(-(LONGEST // 2 + 1) // _FEW))
+    points, between = _points(count), max(_BETWEEN, -(-_EVALUATED // count))
+    at, wanted = (
+        0.5 * (edges.sum() + _points(between * count) * np.ptp(edges)),
+        _at_points(coefficients, between * count),
+    )
     half, best, least = _SHORTEST // 2, BandFilters(np.zeros((len(coefficients), 1)), math.inf, low), math.inf
     known: list[tuple[int, float]] = []  # half lengths and errors, the last two
 
@@ -92,12 +103,16 @@ def band_filters(
         new = np.append(True, x[1:] != x[:-1])  # all beyond the band is at an end
         return weight**2, _polynomials(coefficients, x[new])[:, np.cumsum(new) - 1]
 
+    fit: _Fit | None = None
     while least > allowed and 2 * half + 1 <= LONGEST:
-        even, odd = _fitted(wanted_at, edges, half)
+        if fit is None or half > fit.most:
+            fit = _Fit.of(wanted_at, edges, next(most for most in _MOST if half <= most))
+            turns = _turns(at, fit.most // _FEW + 1)
+        even, odd = fit.solved(half)
         made: Floats | Complexes = _series(even, turns)
         if np.any(odd):
             made = made + 1j * _series(odd, turns, 1)
-        left = np.abs(made - wanted).reshape(len(even), count, _BETWEEN).max(axis=2)
+        left = np.abs(made - wanted).reshape(len(even), count, between).max(axis=2)
         reached = error(left)
         if reached < least:
             worst = 0.5 * (low + high + points[int(np.argmax((left * importance).max(axis=0)))] * (high - low))
@@ -145,29 +160,85 @@ def _between(coefficients: Floats | Complexes, angles: Floats) -> Floats | Compl
     return np.asarray(scipy.interpolate.make_interp_spline(beside * (math.pi / intervals), values.T, _SPLINE)(angles).T)
 
 
-def _fitted(
-    wanted_at: Callable[[Floats], tuple[Floats, Floats | Complexes]], edges: Floats, half: int
-) -> tuple[Floats, Floats]:
-    """Return coefficients of cosines (K, half + 1) and of sines (K, half) that come nearest to what is wanted."""
-    # Frequencies lie evenly from 0 to pi, where the sums are a Fourier transform, and closer within the band's edges.
-    intervals = scipy.fft.next_fast_len(8 * half + 63, real=True)
-    square, target = wanted_at(np.linspace(0.0, math.pi, intervals + 1))
-    # Products of cosines, or of sines, are cosines of differences and sums: one sum for each multiple up to 2 half.
-    sums = scipy.fft.rfft(square, 2 * intervals)[: 2 * half + 1].real
-    even = scipy.fft.rfft(target.real * square, 2 * intervals)[:, : half + 1].real
-    turns = np.iscomplexobj(target)
-    odd = (
-        -scipy.fft.rfft(target.imag * square, 2 * intervals)[:, 1 : half + 1].imag
-        if turns
-        else np.zeros((len(even), half))
-    )
-    w = np.linspace(edges[0], edges[1], 4 * half + 64)
-    square, target = wanted_at(w)
-    sums += _sums(square[None], w, 2 * half + 1)[0]
-    even += _sums(target.real * square, w, half + 1)
-    if turns:
-        odd += _sums(target.imag * square, w, half, 1)
-    return _solved(sums, 0, even), _solved(sums, 1, odd) if turns else odd
+def _at_points(coefficients: Floats | Complexes, count: int) -> Floats | Complexes:
+    """Return the values (K, count) of Chebyshev polynomials at as many Chebyshev points, from high to low."""
+    padded: Any = np.pad(coefficients, ((0, 0), (0, count - coefficients.shape[1])))
+    padded[:, 0] *= 2.0
+    return np.asarray(0.5 * scipy.fft.dct(padded, type=3, axis=1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """Least squares of filters of up to `most` taps on either side: what normal equations of all lengths are made of.
+
+    Frequencies lie evenly from 0 to pi, where the sums are a Fourier transform, and closer within a narrow band. Those
+    for the longest filters do for shorter ones, whose equations are the first of those.
+    """
+
+    most: int
+    sums: Floats  # (2 most + 1,) of squared weights times cosines of all multiples of the frequencies
+    even: Floats  # (K, most + 1) the same of what is wanted, and (K, most) with sines of its imaginary parts
+    odd: Floats  # likewise
+    turns: bool  # whether any is wanted with a phase
+
+    @staticmethod
+    def of(wanted_at: Callable[[Floats], tuple[Floats, Floats | Complexes]], edges: Floats, most: int) -> _Fit:
+        intervals = scipy.fft.next_fast_len(8 * most + 63, real=True)
+        square, target = wanted_at(np.linspace(0.0, math.pi, intervals + 1))
+        # Products of cosines, or of sines, are cosines of differences and sums: one sum for each multiple up to 2 most.
+        sums = scipy.fft.rfft(square, 2 * intervals)[: 2 * most + 1].real
+        even = scipy.fft.rfft(target.real * square, 2 * intervals)[:, : most + 1].real
+        turns, odd = np.iscomplexobj(target), np.zeros((len(even), most))
+        if turns:
+            odd = -scipy.fft.rfft(target.imag * square, 2 * intervals)[:, 1 : most + 1].imag
+        inside = 4 * most + 64
+        if np.ptp(edges) * intervals < math.pi * inside:
+            w = np.linspace(edges[0], edges[1], inside)
+            square, target = wanted_at(w)
+            sums = sums + _sums(square[None], w, 2 * most + 1)[0]
+            even = even + _sums(target.real * square, w, most + 1)
+            if turns:
+                odd = odd + _sums(target.imag * square, w, most, 1)
+        return _Fit(most, sums, even, odd, turns)
+
+    def solved(self, half: int) -> tuple[Floats, Floats]:
+        """Return coefficients of cosines (K, half + 1) and of sines (K, half) that come nearest to what is wanted."""
+        # Half the sum and half the difference of both are those of `exp(j m w)` of m from `half` down to `-half`.
+        even, odd = self.even[:, : half + 1], self.odd[:, :half]
+        wanted = np.concatenate([even[:, :0:-1], even], axis=1)
+        wanted[:, :half] -= odd[:, ::-1]
+        wanted[:, half + 1 :] += odd
+        found = _of_toeplitz(self.sums[: 2 * half + 1], wanted)
+        before, middle, after = found[:, :half][:, ::-1], found[:, half : half + 1], found[:, half + 1 :]
+        return np.concatenate([middle, after + before], axis=1), (after - before) * self.turns
+
+
+def _of_toeplitz(column: Floats, wanted: Floats) -> Floats:
+    """Return the solutions x (K, n) of a positive definite symmetric Toeplitz matrix by its first column (n,).
+
+    The first column of the inverse, by Levinson's recursion, tells all of it: differences of products of triangular
+    Toeplitz matrices (I. C. Gohberg, A. A. Semencul, 1972), which are convolutions. What rounding leaves is solved for
+    again.
+    """
+    count = len(column)
+    column = column * np.append(1.0 + 1e-14, np.ones(count - 1))
+    if count <= _FACTORED:
+        factors = scipy.linalg.cho_factor(scipy.linalg.toeplitz(column), check_finite=False)
+        return np.asarray(scipy.linalg.cho_solve(factors, wanted.T, check_finite=False).T)
+    first = scipy.linalg.solve_toeplitz(column, np.eye(1, count)[0], check_finite=False)
+    size = scipy.fft.next_fast_len(2 * count, real=True)
+    around = np.concatenate([column, np.zeros(size + 1 - 2 * count), column[:0:-1]])
+    matrix, *parts = scipy.fft.rfft([around, np.pad(first, (0, size - count)), np.pad(first[:0:-1], (1, size - count))])
+
+    def times(spectrum: Complexes, x: Floats) -> Floats:
+        return np.asarray(scipy.fft.irfft(spectrum * scipy.fft.rfft(x, size), size)[:, :count])
+
+    x, left = np.zeros(wanted.shape), wanted
+    for _ in range(_REFINED):
+        lower, upper = (times(part, times(part.conj(), left)) for part in parts)
+        x = x + (lower - upper) / first[0]
+        left = wanted - times(matrix, x)
+    return x
 
 
 def _series(coefficients: Floats, turns: list[tuple[Floats, Floats]], first: int = 0) -> Floats:
@@ -177,6 +248,8 @@ def _series(coefficients: Floats, turns: list[tuple[Floats, Floats]], first: int
     groups = -(-count // _FEW)
     given = np.pad(coefficients, ((0, 0), (first, groups * _FEW - count))).reshape(-1, groups, _FEW)
     (coarse, coarse_sines), (fine, fine_sines) = turns
+    if groups == 1:
+        return np.asarray(given[:, 0] @ (fine_sines if first else fine).T)
     coarse, coarse_sines = coarse[:, :groups], coarse_sines[:, :groups]
     if first:
         coarse, coarse_sines = coarse_sines, -coarse
@@ -214,19 +287,6 @@ def _taps(even: Floats, odd: Floats) -> Floats:
     return np.concatenate([before[:, ::-1], even[:, :1], after], axis=1)
 
 
-def _solved(sums: Floats, first: int, products: Floats) -> Floats:
-    """Return the coefficients (K, n) of cosines from 0, or sines from 1, by their products (K, n) with targets."""
-    count = products.shape[1]
-    sums = 0.5 * sums
-    differences = sliding_window_view(np.concatenate([sums[count - 1 : 0 : -1], sums[:count]]), count)[::-1]
-    both = sliding_window_view(sums[2 * first : 2 * (first + count) - 1], count)
-    normal = differences - both if first else differences + both
-    diagonal = np.arange(count)
-    normal[diagonal, diagonal] += 1e-14 * np.trace(normal) / count
-    factors = scipy.linalg.cho_factor(normal.T, overwrite_a=True, check_finite=False)
-    return np.asarray(scipy.linalg.cho_solve(factors, products.T).T)
-
-
 def magnitudes(taps: Floats, w: Floats) -> Floats:
     """Return the magnitudes (K, w) of the responses of filters (K, L) at angular frequencies, from a few taps at once.
 
@@ -234,8 +294,9 @@ def magnitudes(taps: Floats, w: Floats) -> Floats:
     """
     length = min(taps.shape[1], _AT_ONCE)
     parts = np.pad(taps, ((0, 0), (0, -taps.shape[1] % length))).reshape(-1, length)
-    made = (parts @ np.exp(-1j * np.outer(np.arange(length) - taps.shape[1] // 2, w))).reshape(len(taps), -1, len(w))
-    return np.asarray(np.abs(np.sum(made * np.exp(-1j * length * np.outer(np.arange(made.shape[1]), w)), axis=1)))
+    turns = _powers(w, length).T
+    made = (parts @ turns.real + 1j * (parts @ turns.imag)).reshape(len(taps), -1, len(w))
+    return np.asarray(np.abs(np.sum(made * _powers(length * w, made.shape[1]).T, axis=1)))
 
 
 _STEPS = 64  # of a sample, at which impulses are tabulated

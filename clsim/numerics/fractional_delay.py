@@ -110,28 +110,37 @@ def _fitted(target: Floats, even: Floats, odd: Floats, weight: Floats) -> Floats
     """Return taps (branches, length) by weighted least squares from targets (n, branches), see `_branch_shapes`."""
     degree, half = target.shape[1] - 1, odd.shape[1]
     taps = np.zeros((degree + 1, 2 * half + 1))
-    solved = np.linalg.lstsq(even * weight, target[:, ::2] * weight, rcond=1e-14)[0]
+    solved = _least_squares(even * weight, target[:, ::2] * weight)
     taps[::2, half:] = solved.T
     taps[::2, :half] = solved.T[:, :0:-1]
     if degree > 0 and half > 0:
-        solved = np.linalg.lstsq(odd * weight, target[:, 1::2] * weight, rcond=1e-14)[0]
+        solved = _least_squares(odd * weight, target[:, 1::2] * weight)
         taps[1::2, half + 1 :] = solved.T
         taps[1::2, :half] = -solved.T[:, ::-1]
     return taps
+
+
+def _least_squares(a: Floats, b: Floats) -> Floats:
+    """Return x (n, k) with the least squares of ``a x - b``, by Householder's reflections; a (m, n) has full rank.
+
+    It has as each frequency is weighted, those beyond the band by 1e-6. A singular value decomposition takes longer.
+    """
+    return np.asarray(scipy.linalg.lapack.dgels(a, b, overwrite_a=True, overwrite_b=True)[1][: a.shape[1]])
 
 
 @lru_cache(maxsize=16)  # of some 200 KB each: banks of one band are tried in one order of lengths
 def _branch_shapes(half: int, cutoff: float) -> tuple[Floats, NDArray[np.bool_], Floats, Floats]:
     """Return the frequencies (n,) of the least squares, whether each is in the band, and responses of taps there."""
     # Those are real of even branches, (n, half + 1), and -j times those of odd ones, (n, half).
-    w = np.linspace(0.0, math.pi, 8 * (half + 1) + 128)
-    inside = w <= cutoff * (1 + 1e-12)
-    w = np.union1d(w, np.linspace(0.0, cutoff, int(inside.sum()) + 32))
-    inside = w <= cutoff * (1 + 1e-12)
-    m = np.arange(1, half + 1)
-    even = np.concatenate([np.ones((len(w), 1)), 2 * np.cos(np.outer(w, m))], axis=1)  # h[0], h[m] = h[-m]
-    odd = 2 * np.sin(np.outer(w, m))  # h[m] = -h[-m]
-    return w, inside, even, odd
+    count = 4 * (half + 1) + 64
+    w = np.linspace(0.0, math.pi, count)
+    inside = int(np.searchsorted(w, cutoff))
+    # As many within a narrow band, whose end is one of them.
+    w = np.union1d(w, np.linspace(0.0, cutoff, count) if 2 * inside < count else np.array([cutoff]))
+    turned = np.outer(w, np.arange(1, half + 1))
+    even = np.concatenate([np.ones((len(w), 1)), 2 * np.cos(turned)], axis=1)  # h[0], h[m] = h[-m]
+    odd = 2 * np.sin(turned)  # h[m] = -h[-m]
+    return w, w <= cutoff * (1 + 1e-12), even, odd
 
 
 @lru_cache(maxsize=1024)  # of some 4 KB each
@@ -196,7 +205,7 @@ def design_tilted(
     """
     delays = _rectangle(mu_max, nu_max)
     delays = delays[: len(delays) // 2]  # the others mirror these
-    allowed, w = 10 ** (error_db / 20), np.linspace(0.0, cutoff, _FREQUENCIES // 4)
+    allowed, w = 10 ** (error_db / 20), _test_frequencies(cutoff, _FREQUENCIES // 4)
     weight = _importance_at(w, cutoff, importance)
     wanted = np.exp(-1j * np.outer(delays, w))
 
@@ -293,23 +302,28 @@ def bank_error(
 
     Shapes: taps (branches, length).
     """
-    response, w = _turns(cutoff, taps.shape[1], centre) @ taps.T, np.linspace(0.0, cutoff, _FREQUENCIES)
-    made = polynomial.polyval(mu_max * (_FIRST_DELAYS if few else _DELAYS), response.T)
-    left = np.abs(made - _delayed(cutoff, mu_max, shift, few))
+    response, w = _turns(cutoff, taps.shape[1], centre) @ taps.T, _test_frequencies(cutoff)
+    powers = np.vander(mu_max * (_FIRST_DELAYS if few else _DELAYS), len(taps), increasing=True)
+    left = np.abs(response @ powers.T - _delayed(cutoff, mu_max, shift, few))
     return float(np.max(left * _importance_at(w, cutoff, importance)[:, None]))
+
+
+def _test_frequencies(cutoff: float, count: int = _FREQUENCIES) -> Floats:
+    """Return frequencies (count,) from 0 to a cutoff, the closer the nearer to it, where errors change fastest."""
+    return np.asarray(cutoff * np.sin(np.linspace(0.0, 0.5 * math.pi, count)))
 
 
 @lru_cache(maxsize=16)  # of some 270 KB each
 def _delayed(cutoff: float, mu_max: float, shift: float, few: bool) -> NDArray[np.complex128]:
     """Return the responses of pure delays up to the cutoff, (frequencies, delays)."""
     delays = mu_max * (_FIRST_DELAYS if few else _DELAYS) + shift
-    return np.asarray(np.exp(-1j * np.outer(np.linspace(0.0, cutoff, _FREQUENCIES), delays)))
+    return np.asarray(np.exp(-1j * np.outer(_test_frequencies(cutoff), delays)))
 
 
 @lru_cache(maxsize=16)  # of some 150 KB each
 def _turns(cutoff: float, length: int, centre: int) -> NDArray[np.complex128]:
     """Return the responses of single taps up to the cutoff, (frequencies, length)."""
-    return np.asarray(np.exp(-1j * np.outer(np.linspace(0.0, cutoff, _FREQUENCIES), np.arange(length) - centre)))
+    return np.asarray(np.exp(-1j * np.outer(_test_frequencies(cutoff), np.arange(length) - centre)))
 
 
 def _importance_at(w: Floats, cutoff: float, importance: tuple[float, ...]) -> Floats:

@@ -235,7 +235,8 @@ class Chain(PathFamily):
         links = self.links(rows)
         vertex, response = links.vertex, at.air(found)
         if vertex is None or self.legs[0].moving:
-            response = response * at.reflection(links.all_surfaces)[:, None, :]
+            factors = at.reflection(links.all_surfaces)[:, None, :]
+            response = np.multiply(response, factors, out=response if response.dtype == at.dtype else None)
         if vertex is None:
             response *= (found.mach_factor / found.length)[..., None]
         else:

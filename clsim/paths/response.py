@@ -126,7 +126,8 @@ class SceneResponse:
         beyond, ratio = (found.through - 1.0)[..., None], found.frequency_ratio[..., None]
         if not self.disperses:
             nepers = self.nepers if found.means is None else found.means @ self._by_height
-            return np.asarray(np.exp(-beyond * nepers))
+            lost = -beyond * nepers
+            return np.asarray(np.exp(lost, out=lost))
         met = 1.0 if np.all(ratio == 1.0) else ratio
         if found.means is None:
             lossy, lead = self.air_at(met)

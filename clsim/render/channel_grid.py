@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,6 +92,7 @@ def passes_of(count: int) -> list[int]:
     return found
 
 
+@lru_cache(maxsize=256)
 def quick_count(least: int) -> int:
     """Return the number of vectors, at least so many, whose transform takes the least time."""
     from scipy.fft import next_fast_len
@@ -205,6 +207,10 @@ _HELD = 0.43  # of an envelope's rate: what a signal leaves beside its band is h
 _STOPPED_DB = 100.0  # by which responses fall from the band's end to half the sampling rate: without it they ring long
 
 
+# By sources that are still used: costs of several spacings and the engine ask for the same ones.
+_known: WeakKeyDictionary[SourceFilters, Floats] = WeakKeyDictionary()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ChannelFilters:
     """Filters of a source's functions of frequency in a sampled channel."""
@@ -215,6 +221,13 @@ class ChannelFilters:
 
     @classmethod
     def of(cls, source: SourceFilters) -> ChannelFilters:
+        if source not in _known:
+            _known[source] = cls._shaped(source)
+        return cls(_known[source], source)
+
+    @staticmethod
+    def _shaped(source: SourceFilters) -> Floats:
+        """Return the `filters` of a source."""
         rate, own = source.rate, source.filters
         passed = source.band
         if isinstance(source, EnvelopeFilters):
@@ -225,7 +238,7 @@ class ChannelFilters:
         both = np.abs(filters[:, half:]) + np.abs(filters[:, half::-1])
         beyond = np.linalg.norm(np.cumsum(both[:, ::-1], axis=1)[:, ::-1], axis=0)  # bounds what taps from there on add
         kept = max(int(np.count_nonzero(beyond > 10 ** (_LEFT_OUT_DB / 20))), 1) - 1
-        return cls(filters[:, half - kept : half + kept + 1], source)
+        return filters[:, half - kept : half + kept + 1]
 
     @property
     def ringing(self) -> int:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Complexes, Floats
+from clsim.arrays import Complexes, Floats, read_only
 from clsim.numerics.band_filters import magnitudes
 from clsim.numerics.convolution import low_pass_between
 from clsim.paths.channel import ImpulseResponse
@@ -152,10 +153,11 @@ def envelope_filters(
     basis, banks, stretches = cheapest(emission, stretches_of(emission, held, rate, edge, tilted), designed)
     every, own = round(sampling_rate / rate), basis.filters[:: 1 + int(basis.paired)]
     mixed, plain = (_mixed(sampling_rate, baseband.carrier, low_pass, f) for f in (own, np.ones((1, 1))))
-    mixed = stretches.filters(mixed, sampling_rate, baseband.carrier, half, every)
-    mixer, plain_mixer = (
-        Mixer.of(taps, every, Fraction(baseband.carrier) / Fraction(sampling_rate)) for taps in (mixed, plain)
+    about, turn = (sampling_rate, baseband.carrier, half, every), Fraction(baseband.carrier) / Fraction(sampling_rate)
+    mixer = Mixer.of(
+        stretches.filters(mixed, *about), every, turn, mixed, lambda f: stretches.acting(f * sampling_rate, *about)
     )
+    plain_mixer = Mixer.of(plain, every, turn)
     highest = baseband.carrier + 0.5 * baseband.bandwidth
     return EnvelopeFilters(
         emission.signal, emission.start, banks * stretches.count, basis, basis.filters, np.ones(1), highest, highest,
@@ -200,23 +202,27 @@ class NarrowBand:
 
     def left(self, frequencies: Floats) -> Floats:
         """Return the gain of the band-stop at evenly spaced frequencies (F,) from 0 to half the sampling rate."""
-        away = np.abs(frequencies - self.baseband.carrier)
-        left, between = np.where(away <= self.flat, 0.0, 1.0), (away > self.flat) & (away < self.half)
-        # The transform has as many points as the frequencies ask for, or a multiple of that, which holds all taps.
-        rate, size = 2.0 * float(frequencies[-1]), 2 * (len(frequencies) - 1)
-        times = -(-len(self.low_pass) // size)
-        places = np.arange(-self.reach, self.reach + 1)
-        about = self.low_pass * np.exp(2j * math.pi * self.baseband.carrier / rate * places)
-        placed = np.zeros(times * size, dtype=np.complex128)
-        placed[places % len(placed)] = about
-        passed = np.fft.fft(placed).real[: times * len(frequencies) : times]
-        left[between] = 1.0 - passed[between]
-        return left
+        return _left(self, len(frequencies), 2.0 * float(frequencies[-1]))
 
     def band_pass(self, rate: float) -> Floats:
         """Return the taps (n,) of the band-pass at a sampling rate, Hz."""
         step = 2.0 * math.pi * self.baseband.carrier / rate
         return np.asarray(2.0 * self.low_pass * np.cos(step * np.arange(-self.reach, self.reach + 1)))
+
+
+@lru_cache(maxsize=64)  # of some 30 KB each: windows of several kinds are asked about the same split
+def _left(band: NarrowBand, count: int, rate: float) -> Floats:
+    """Return the gain of a band-stop at evenly spaced frequencies (count,) from 0 to half the sampling rate, Hz."""
+    away = np.abs(np.linspace(0.0, 0.5 * rate, count) - band.baseband.carrier)
+    left, between = np.where(away <= band.flat, 0.0, 1.0), (away > band.flat) & (away < band.half)
+    # The transform has as many points as the frequencies ask for, or a multiple of that, which holds all taps.
+    size, places = 2 * (count - 1), np.arange(-band.reach, band.reach + 1)
+    times = -(-len(band.low_pass) // size)
+    placed = np.zeros(times * size, dtype=np.complex128)
+    placed[places % len(placed)] = band.low_pass * np.exp(2j * math.pi * band.baseband.carrier / rate * places)
+    passed = np.fft.fft(placed).real[: times * count : times]
+    left[between] = 1.0 - passed[between]
+    return read_only(left)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -290,11 +296,15 @@ class Split:
         """Return the same split for another error requested of the rendering."""
         return replace(self, silence=10 ** ((error_db - MARGIN_DB) / 20))
 
-    def rest_of(self, sound: ShortTimeSpectra, silent: float = _SILENT) -> ShortTimeSpectra:
+    def loud_in(self, sound: ShortTimeSpectra, silent: float = _SILENT) -> NDArray[np.bool_]:
+        """Test in which windows (W,) of a sound the rest is not silent, relative to the whole."""
+        return np.asarray(sound.energy @ self.left(sound.frequencies) ** 2 > max(silent, self.silence**2))
+
+    def rest_of(self, sound: ShortTimeSpectra) -> ShortTimeSpectra:
         """Return the short-time spectra of the rest, relative to the whole, without windows in which it is silent."""
-        energy, silent = sound.energy * self.left(sound.frequencies) ** 2, max(silent, self.silence**2)
-        loud = energy.sum(axis=1) > silent
-        return ShortTimeSpectra(sound.frequencies, energy[loud], sound.weights[loud])
+        loud = self.loud_in(sound)
+        energy = sound.energy[loud] * self.left(sound.frequencies) ** 2
+        return ShortTimeSpectra(sound.frequencies, energy, sound.weights[loud])
 
     def _band_pass(self, signal: Signal) -> NDArray[Any]:
         """Return all band-passes together, (1, n) float32."""

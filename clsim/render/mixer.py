@@ -1,4 +1,4 @@
-"""Sound mixed down to complex envelopes at a lower rate, through filters."""
+"""Complex envelopes of sound through filters, by transforms of blocks."""
 
 from __future__ import annotations
 
@@ -37,25 +37,30 @@ class Mixer:
     kept: dict[int, NDArray[Any]] = field(default_factory=dict, init=False)
 
     @classmethod
-    def of(cls, taps: Complexes, every: int, carrier: Fraction) -> Mixer:
-        """Return the mixer with filters (K, L) that turn sound about the carrier's frequency, turns in a sample."""
+    def of(
+        cls, taps: Complexes, every: int, carrier: Fraction, alike: Complexes | None = None,
+        acting: Callable[[Floats], Floats] = lambda frequencies: np.ones((1, len(frequencies))),
+    ) -> Mixer:  # fmt: skip
+        """Return the mixer with filters (K, L) that turn sound about the carrier's frequency, turns in a sample.
+
+        Filters that are `alike` but for factors (S, F) of frequencies, turns in a sample, are transformed once.
+        """
         from scipy.fft import ifft, next_fast_len
 
-        half = taps.shape[1] // 2
+        half, own = taps.shape[1] // 2, taps if alike is None else alike
         half_length = half // every + 1
         count = next_fast_len(max(_LEAST_TRANSFORM, _SOUND_TRANSFORM // every, _SPANS * half_length))
         length = count * every
-        placed = np.zeros((len(taps), length), dtype=np.complex128)
-        placed[:, np.arange(-half, half + 1) % length] = taps
-        gains, middle = count * ifft(placed, axis=1), round(float(carrier) * length)
+        placed, places = np.zeros((len(own), length), dtype=np.complex128), np.arange(own.shape[1]) - own.shape[1] // 2
+        placed[:, places % length] = own
+        gains, middle = count * ifft(placed, axis=1, overwrite_x=True), round(float(carrier) * length)
         passed = np.abs(gains).max(axis=0)
         apart = (np.flatnonzero(passed > _STOPPED * passed.max()) - middle + length // 2) % length - length // 2
         folded = min(-(-(2 * int(np.abs(apart).max()) + 1) // count), every)
         lowest = middle - folded * count // 2
-        return cls(
-            every, carrier * every % 1, half_length, taps, count, lowest,
-            gains[:, np.arange(lowest, lowest + folded * count) % length],
-        )  # fmt: skip
+        band = np.arange(lowest, lowest + folded * count)
+        gains = (acting(band / length)[:, None] * gains[:, band % length]).reshape(len(taps), -1)
+        return cls(every, carrier * every % 1, half_length, taps, count, lowest, gains)
 
     def __call__(
         self, read: Callable[[int, int], Floats], first: int, last: int, *, single: bool = False

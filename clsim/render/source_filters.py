@@ -25,7 +25,8 @@ from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra, share
 from clsim.scene.signal.signal import Signal
 from clsim.tracks.basis import NO_TILT, Basis, Tilt, band_of, flat_basis
 from clsim.tracks.basis_design import scene_basis, turning_basis
-from clsim.tracks.sampled import TIMES, TIMES_OF_BANDS, Draw
+from clsim.tracks.picked import TIMES, TIMES_OF_BANDS
+from clsim.tracks.sampled import Draw
 from clsim.tracks.tracks import Tracks
 
 EXACT_DB = -100.0  # error of air, walls and directivities over a signal's band by the reference engine
@@ -201,7 +202,7 @@ class Emission:
         return banks
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class SourceFilters:
     """One source's signal and the filters for it."""
 

@@ -60,11 +60,16 @@ class Stretches:
         if self.per_sample == 0.0:
             return taps
         size, middle = next_fast_len(4 * taps.shape[1]), taps.shape[1] // 2
-        away = np.clip((np.fft.fftfreq(size) * rate - carrier + 0.5 * rate) % rate - 0.5 * rate, -half, half)
-        late = self.per_sample * ((np.arange(self.count) + 0.5) * self.length + self.origin - self.still)
-        acts = np.exp(-2.0 * math.pi * every / rate * np.outer(late, away))[:, None]
+        frequencies: Floats = np.asarray(np.fft.fftfreq(size) * rate, dtype=np.float64)
+        acts = self.acting(frequencies, rate, carrier, half, every)[:, None]
         spectra, reach = ifft(taps, size, axis=1) * acts, middle * 3 // 2
         return np.roll(fft(spectra), reach - middle, axis=2)[:, :, : 2 * reach + 1].reshape(-1, 2 * reach + 1)
+
+    def acting(self, frequencies: Floats, rate: float, carrier: float, half: float, every: int) -> Floats:
+        """Return the factors (count, F) of frequencies, Hz, at a rate, Hz, by how far they are off the carrier."""
+        away = np.clip((frequencies - carrier + 0.5 * rate) % rate - 0.5 * rate, -half, half)
+        late = self.per_sample * ((np.arange(self.count) + 0.5) * self.length + self.origin - self.still)
+        return np.asarray(np.exp(-2.0 * math.pi * every / rate * np.outer(late, away)))
 
 
 WHOLE = Stretches()  # without a tilt

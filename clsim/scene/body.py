@@ -15,7 +15,8 @@ from clsim.errors import InputError, check_kind, check_name, counted, inside, se
 from clsim.numerics.quaternions import rotate
 from clsim.scene.ends import Receiver, Source, in_face
 from clsim.scene.material.material import Material
-from clsim.scene.motion.motion import Instants, Moved, even_lengths, seen_by
+from clsim.scene.motion.instants import Instants
+from clsim.scene.motion.motion import Moved, even_lengths, seen_by
 from clsim.scene.motion.trajectory import Trajectory, as_places
 from clsim.scene.placement import TOUCHING, Placed, check_lasts, first_refused
 from clsim.scene.room.mesh import MeshRoom

@@ -13,7 +13,8 @@ from clsim.errors import InputError, inside, warn
 from clsim.numerics.quaternions import rotate
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.ends import End, Receiver, Source, find_mount
-from clsim.scene.motion.motion import Indices, Instants, Motion
+from clsim.scene.motion.instants import Indices, Instants
+from clsim.scene.motion.motion import Motion
 from clsim.scene.room.faces import Mount
 from clsim.scene.room.mesh_cleaning import held_by_rooms
 from clsim.scene.room.protocol import Room

@@ -14,7 +14,7 @@ from clsim.arrays import Complexes, Floats, firsts, ranges
 from clsim.numerics.band_filters import chebyshev_points
 from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 
-GRIDS = (129, 387, 1161)  # frequencies of a band at which responses are looked at: the first number that resolves them
+GRIDS = (65, 129, 387, 1161)  # frequencies at which responses are looked at: the first number that resolves them
 IN_CACHE = 8192  # arrivals that are worked on together: larger arrays are fresh memory at every step
 _QUIETEST = 1e-3  # weight of frequencies at which a signal has next to nothing
 _FAINTEST = 1e-4  # energy received of a window, relative to its centre frequency, that is requested
@@ -180,7 +180,8 @@ class Sample:
 
     def left(self, shapes: Floats | Complexes) -> float:
         """Return the error of functions that are wrong by so much (K, F), each with a gain of 1 at every instant."""
-        return float(np.linalg.norm(self.sizes(shapes, np.ones((len(self.first), len(shapes))))))
+        shares = np.abs(shapes) ** 2 @ self.band.energy.T / self.received.min(axis=0)  # (K, W)
+        return math.sqrt(float(shares.max(axis=1).sum()))
 
     def wrong(self, left: Floats | Complexes, nodes: NDArray[np.int64]) -> Floats:
         """Largest error over all windows of each frame, (frames,), of errors (n, F) of its rows.

@@ -24,7 +24,7 @@ _HOPELESS = 4.0  # times the bound, from which on another weight does not help
 _WIDE = 4.0  # times the lower end of a band, from which on its upper end asks for a grid that is looked for by few
 _OF_FEW = 0.3  # times the bound, up to which few instants tell of all
 _ROUNDING = 1e-9  # of the largest singular value, below which there is nothing but rounding
-_LARGE, _SUMS = 256, 96  # rows and columns, beyond which their range is that of so many random sums
+_LARGE, _SUMS = 256, (32, 96)  # rows and columns, beyond which their range is that of so many random sums
 _SEVERAL = 4  # parts of a sample, from which on one is looked at before the others
 _MARGIN_DB = 1.0  # by which the functions are better than asked, so that unseen responses are as good
 _FILTER_MARGIN_DB = 6.0  # by which the filters are better than that
@@ -60,7 +60,7 @@ def scene_basis(
     late = drawn.common_delay(band_at(drawn.grids[0]), sampling_rate)
     for count in drawn.grids:
         band, fine = (replace(band_at(n), late=late) for n in (count, 3 * count))
-        few = drawn.probe() if drawn.whole and band.high > _WIDE * band.low else drawn
+        few = drawn if drawn.whole and band.high <= _WIDE * band.low else drawn.probe()
         if few is drawn and len(drawn.rows) > _SEVERAL and count < drawn.grids[-1]:
             sampled = replace(drawn, rows=drawn.rows[:1]).responses(fine)
             if float(sampled.relative(_unresolved(sampled.responses)).max()) > allowed:
@@ -74,12 +74,12 @@ def scene_basis(
     )
     if held.resolved_db > WORST_DB:
         held.within(error_db)
-    coarse = replace(sampled, band=band, responses=sampled.responses[:, 1::3].copy())
+    thirds = replace(sampled, band=band, responses=sampled.responses[:, 1::3].copy())
+    every = thirds if few is drawn else drawn.responses(band)
     if drawn.whole:
-        every = coarse if few is drawn else drawn.responses(band)
         sampled, held_out = (every.frames(np.s_[i::2] if len(every.first) > 1 else np.s_[:]) for i in (0, 1))
     else:
-        sampled, held_out = coarse, drawn.responses(band, held_out=True)
+        sampled, held_out = every, drawn.responses(band, held_out=True)
     rows, step = _Rows.of(sampled, paired), 1 + int(paired)
     count = rows.least(_HOPELESS * allowed)
     for attempt in itertools.count(1):
@@ -215,16 +215,18 @@ class _Functions:
         # A tone is next to all there is: a node must lie on it.
         loudest = int(np.median(np.flatnonzero(weight >= weight.max())))
         nodes[np.argmin(np.abs(nodes - loudest))] = loudest
-        emphasis = np.ones(len(first))
+        emphasis, worst = np.ones(len(first)), math.inf
         lengths = np.diff([*first.tolist(), len(rows.places)])
-        for _ in range(_EMPHASES):
+        for more in range(_EMPHASES, 0, -1):
             each = np.repeat(emphasis, lengths)[:, None]
             _, _, vectors = np.linalg.svd(_square(each * rows.places), full_matrices=False)
             shapes = rows.shapes(vectors, count)
             functions = _Functions(shapes, nodes, _projection(shapes, nodes, weight))
-            wrong = functions.error(rows)
+            wrong, before = functions.error(rows), worst
             worst = float(wrong.max())
-            if not allowed < worst < _HOPELESS * allowed:
+            # As it falls from one weight to the next, it may not come down to what is allowed.
+            hopeless = worst * (worst / before) ** (more - 1) > allowed
+            if hopeless or not allowed < worst < _HOPELESS * allowed:
                 break
             emphasis *= 1.0 + 3.0 * wrong / worst
         return replace(functions, worst=worst)
@@ -255,8 +257,8 @@ def _axes(rows: Any) -> tuple[Floats, Any]:
     A few random sums of large ones hold their range (N. Halko, P. G. Martinsson, J. A. Tropp, "Finding structure with
     randomness", SIAM Rev. 53(2), 2011, algorithm 4.1). It is seen in the last singular value if they are too few.
     """
-    if min(rows.shape) > _LARGE:
-        sums = np.random.default_rng(0).standard_normal((_SUMS, len(rows))) @ rows
+    for count in _SUMS if min(rows.shape) > _LARGE else ():
+        sums = np.random.default_rng(0).standard_normal((count, len(rows))) @ rows
         within = np.linalg.qr(sums.conj().T)[0].conj().T
         _, sizes, axes = np.linalg.svd(rows @ within.conj().T, full_matrices=False)
         if sizes[-1] < _ROUNDING * sizes[0]:

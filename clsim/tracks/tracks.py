@@ -223,9 +223,9 @@ class SceneTracks(Tracks):
     __repr__ = short_repr
 
     def longest_delay(self, start: float, end: float, source: int | None = None) -> float:
-        key = start, end, source
+        key = start, end, source if self.source_count > 1 else None
         if key not in self._longest:
-            self._longest[key] = Tracks.longest_delay(self, start, end, source)
+            self._longest[key] = Tracks.longest_delay(self, *key)
         return self._longest[key]
 
     @property

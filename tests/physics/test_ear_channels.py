@@ -83,7 +83,7 @@ def inside(plan: Plan) -> Allocation:
 
 
 def apart_db(one: np.ndarray, other: np.ndarray) -> float:
-    return float(20.0 * np.log10(np.linalg.norm(one - other) / np.linalg.norm(other)))
+    return float(20.0 * np.log10(max(np.linalg.norm(one - other) / np.linalg.norm(other), 1e-15)))
 
 
 STEADY = turning((0.0, 0.8), (0.3, 1.9))

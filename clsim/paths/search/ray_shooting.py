@@ -17,7 +17,8 @@ from clsim.numerics.sphere import fibonacci_sphere
 from clsim.paths.search.beam_tree import Candidates, FoundPaths
 from clsim.paths.visibility.clearance import blocks, segments_apart, unfold
 from clsim.paths.visibility.intervals import BoundingSpheres, VisibilityQuery, find_intervals
-from clsim.scene.motion.motion import Instants, Motion
+from clsim.scene.motion.instants import Instants
+from clsim.scene.motion.motion import Motion
 from clsim.scene.room.faces import Mount
 from clsim.scene.room.mesh import MeshRoom
 from clsim.scene.room.walls import Walls

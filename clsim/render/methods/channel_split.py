@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from operator import mul
 
 import numpy as np
@@ -71,6 +71,7 @@ class Splitter:
     tracks: SceneTracks
     pairs: tuple[int, ...]
     pieces: dict[int, Pieces]  # of pairs whose paths begin, end or jump
+    _summed: dict[int, float] = field(default_factory=dict, init=False)  # by pair; for all margins the same
 
     @classmethod
     def of_few(cls, emission: Emission, tracks: SceneTracks, pairs: list[int]) -> tuple[Splitter, float]:
@@ -98,13 +99,18 @@ class Splitter:
 
         They begin when the first sound arrives by a path, and end with the last.
         """
-        until, start, total = self.emission.until, self.emission.start, 0.0
-        ranges = self.tracks.delay_ranges(pairs, 0.0, until)
-        for member, (low, high) in zip((self.tracks.pairs[i] for i in pairs), ranges, strict=True):
+        if not self._summed:
+            self._summed.update(zip(self.pairs, self._seconds(), strict=True))
+        return sum(self._summed[pair] for pair in pairs)
+
+    def _seconds(self) -> Iterator[float]:
+        """Yield the seconds of the paths of each pair, see `summed`."""
+        until, start = self.emission.until, self.emission.start
+        ranges = self.tracks.delay_ranges(self.pairs, 0.0, until)
+        for member, (low, high) in zip((self.tracks.pairs[i] for i in self.pairs), ranges, strict=True):
             first = np.maximum(member.start, np.maximum(start + low, 0.0))
             last = np.minimum(member.end, np.minimum(start + self.emission.signal.duration + high, until))
-            total += float(np.sum(np.maximum(last - first, 0.0))) * (1.0 + _A_CHANNEL * (len(member.channels) - 1))
-        return total
+            yield float(np.sum(np.maximum(last - first, 0.0))) * (1.0 + _A_CHANNEL * (len(member.channels) - 1))
 
     def at(self, margin: float, near: Mapping[object, NDArray[np.bool_]]) -> Split:
         """Return the split for a margin beyond the Doppler shift, Hz, with `near` paths left."""

@@ -202,7 +202,7 @@ def offers(emission: Emission, pairs: list[int]) -> list[NarrowOffer]:
         if costs[bands] >= min((offer.cost for offer in found), default=math.inf):
             break
         split = Split.into(tuple(NarrowBand.designed(*band, rate, error_db) for band in bands), error_db, steady)
-        loud = max(_share(split.rest_of(some), some), _share(split.rest_of(sound, _PASSED_OVER), sound))
+        loud = max(_share(split.loud_in(some), some), _share(split.loud_in(sound, _PASSED_OVER), sound))
         found.append(NarrowOffer(split, costs[bands] + emission.cost_of_rest(loud)))
     return found
 
@@ -245,9 +245,9 @@ def _costs(emission: Emission, pairs: list[int]) -> tuple[float, float]:
     return samples * known.upsampled * len(pairs) / path_samples, (known.planned + samples * per_sample) / path_samples
 
 
-def _share(part: ShortTimeSpectra, whole: ShortTimeSpectra) -> float:
-    """Share of the time of a sound in which a part of it is not silent."""
-    return float(part.weights.sum() / whole.weights.sum())
+def _share(loud: NDArray[np.bool_], sound: ShortTimeSpectra) -> float:
+    """Share of the time of a sound that is in some of its windows (W,)."""
+    return float(sound.weights[loud].sum() / sound.weights.sum())
 
 
 def _envelope_cost(band: Baseband, rate: float) -> float:

@@ -56,14 +56,18 @@ def offer(
     of_scene = emission.tracks.of_scene
     assert of_scene is not None, "channels are those of scenes"
     longest = of_scene.longest_delay(0.0, emission.until, emission.source)
+    spacings = None
     if not options.channels:
         if heads is None and not _may_be_cheaper(emission, filters, mine, longest):
             return None, ""
-        if not _cheaper(*Splitter.of_few(emission, of_scene, mine), filters, longest, heads):
+        spacings = _cheaper(*Splitter.of_few(emission, of_scene, mine), filters, longest, heads)
+        if not spacings:
             return None, ""
     splitter, error_db = Splitter.of(emission, of_scene, mine), -math.inf
+    if spacings is None or splitter.pieces:  # of paths that go on all the time, few tell of all
+        spacings = _cheaper(splitter, 1.0, filters, longest, heads)
     shift, level = emission.max_rate * filters.band, 10 ** (_allowed_db(options) / 20)
-    for margin, spacing in _cheaper(splitter, 1.0, filters, longest, heads):
+    for margin, spacing in spacings:
         split = splitter.at(margin, splitter.near(shift, margin, level))
         if not split.pairs or (split.left and options.baseband is not None):
             continue

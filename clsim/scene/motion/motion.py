@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -14,12 +13,9 @@ from clsim.arrays import Floats, as_number, read_only
 from clsim.errors import InputError
 from clsim.numerics.quaternions import inverse, quaternion_product, rotate, same_hemisphere
 from clsim.scene.motion.curves import CONTINUATION, Curve, Piecewise, is_static
-
-Indices = NDArray[np.int64]
-Probe = Callable[[Indices, Indices, Indices], tuple[Indices, NDArray[np.bool_]]]
+from clsim.scene.motion.instants import BATCH, Indices, Instants
 
 SHORTEST, LONGEST = 1e-9, 1e9  # s, bounds of lengths of time
-_BATCH = 8192  # ranges evaluated at a time
 _SAME = 1e-9  # relative difference of speeds that does not matter
 _SPARE = 1.0 + 1e-12  # for the rounding of bounds
 _LEAST_SINE = 1e-12  # of the angle between quaternions, below which they differ by rounding
@@ -149,59 +145,6 @@ def turning_between(times: Floats, quaternions: Floats) -> GreatArcs:
     angle = np.arctan2(sine, cosine)[:, 0]
     angle[sine[:, 0] < _LEAST_SINE] = 0.0
     return GreatArcs(read_only(times), read_only(base), read_only(side), read_only(angle))
-
-
-@dataclass(frozen=True, slots=True)
-class Instants:
-    """Times from `start` to `end`, evenly spaced, at least `rate` a second; however many, they take no memory."""
-
-    start: float
-    end: float
-    rate: float
-
-    @property
-    def count(self) -> int:
-        return max(math.ceil((self.end - self.start) * self.rate), 1 if self.end > self.start else 0) + 1
-
-    @property
-    def step(self) -> float:
-        """From one to the next, s."""
-        return (self.end - self.start) / max(self.count - 1, 1)
-
-    def times(self, index: Indices) -> Floats:
-        """Return the times of some of them, s."""
-        return np.asarray(self.start + self.step * index)
-
-    def margin(self, first: Indices, middle: Indices, last: Indices) -> Floats:
-        """Return largest distance in time from an instant to the ends of its range, s."""
-        return np.asarray(self.step * np.maximum(middle - first, last - middle))
-
-    def first(self, probe: Probe) -> int | None:
-        """Return the first instant for which `probe` reports a hit, the same as by evaluating every instant."""
-        # It takes the first, middle and last instants of ranges (n,), in the order of time. It returns the first that
-        # is surely met in each, or -1, and whether others of the range may be met: its halves are then evaluated as
-        # well.
-        met, waiting = None, [np.array([[0, self.count - 1]])]
-        while waiting:
-            ranges = waiting.pop()
-            if len(ranges) > _BATCH:
-                waiting.append(ranges[_BATCH:])
-            ranges = ranges[:_BATCH]
-            first, last = ranges.T
-            middle = (first + last) // 2
-            hit, unsure = probe(first, middle, last)
-            hits = np.flatnonzero(hit >= 0)
-            if len(hits):  # what is later does not matter any more
-                i, waiting = int(hits[0]), []
-                met = int(hit[i])
-                first, middle, last, unsure = first[: i + 1], middle[: i + 1], last[: i + 1].copy(), unsure[: i + 1]
-                last[i] = met - 1
-            ends = first, np.minimum(middle - 1, last), middle + 1, last
-            halves = np.stack([end[unsure] for end in ends], axis=1).reshape(-1, 2)
-            halves = halves[halves[:, 0] <= halves[:, 1]]  # before and behind middles, in the order of time
-            if len(halves):
-                waiting.append(halves)
-        return met
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -361,6 +304,10 @@ class Motion:
 
     def _peak_at(self, instants: Instants) -> tuple[float, float]:
         """Return the largest speed at some instants to nine digits, m/s, and when it is reached, s."""
+        if instants.count <= BATCH:
+            speeds = np.linalg.norm(self.velocity(instants.times(np.arange(instants.count))), axis=1)
+            first = int(np.argmax(speeds >= speeds.max() * (1.0 - _SAME)))
+            return float(speeds[first]), float(instants.times(np.array(first)))
         best = (float(np.linalg.norm(self.velocity(instants.start))), instants.start)
 
         def probe(first: Indices, middle: Indices, last: Indices) -> tuple[Indices, NDArray[np.bool_]]:

@@ -136,8 +136,8 @@ class Signal:
         window = _hann(length)
         energy = np.zeros(hop + 1)
         for k, share in zip(picked, weight, strict=True):
-            spectrum = np.fft.rfft(self.read(int(k) * hop, int(k) * hop + length) * window)
-            energy += share * np.abs(spectrum) ** 2
+            spectrum = scipy.fft.rfft(self.read(int(k) * hop, int(k) * hop + length) * window)
+            energy += share * _squared(spectrum)
         frequencies: Floats = np.arange(hop + 1, dtype=np.float64) * (self.sampling_rate / length)
         return frequencies, energy / length
 
@@ -152,7 +152,7 @@ class Signal:
         -------
         frequencies, energy, weights, whole : ndarray (F,), (W, F), (W,), (F,)
             Hz, energies relative to such a level, windows for which each stands, and the energy of all of the signal in
-            Pa² times samples, which is that of `energy_spectrum` to the last bit where its segments are as long.
+            Pa² times samples, which is that of `energy_spectrum` but for rounding where its segments are as long.
         """
         length = 2 ** int(np.clip(round(math.log2(_WINDOW * self.sampling_rate)), 6, 14))
         hop = length // 2
@@ -163,15 +163,16 @@ class Signal:
                 if level == 0.0:  # of 1e-162 Pa and less, squares are 0
                     continue
                 whole += shares[k] * spectrum
-                spectrum[1:-1] *= 2.0
                 found.append(spectrum)
                 weights.append(shares[k])
                 levels.append(level)
         frequencies: Floats = np.arange(hop + 1, dtype=np.float64) * (self.sampling_rate / length)
         if not found:
             return frequencies, np.zeros((0, hop + 1)), np.zeros(0), whole
-        relative_to = np.maximum(levels, _QUIET_WINDOW * max(levels))
-        return frequencies, np.array(found) / relative_to[:, None], np.array(weights), whole / length
+        energy, relative_to = np.array(found), np.maximum(levels, _QUIET_WINDOW * max(levels))
+        energy /= relative_to[:, None]
+        energy[:, 1:-1] *= 2.0
+        return frequencies, energy, np.array(weights), whole / length
 
     def _windows(self, segments: NDArray[np.int64], length: int) -> tuple[Floats, Floats]:
         """Return the levels (n,) about neighbouring windows, 0 for silent ones, and their energy spectra (n, F)."""
@@ -179,10 +180,11 @@ class Signal:
         samples = self.read((int(segments[0]) - 1) * hop, (int(segments[-1]) + 1) * hop + length)
         each = np.lib.stride_tricks.sliding_window_view(samples, length)[::hop]
         windowed = each * _hann(length)
-        energy = np.sum(windowed**2, axis=1)
+        energy = np.einsum("wn,wn->w", windowed, windowed)
         level = np.maximum(np.maximum(energy[:-2], energy[1:-1]), energy[2:]) * length
-        emitting = np.any(each[1:-1], axis=1)
-        return np.where(emitting, level, 0.0), np.abs(np.fft.rfft(windowed[1:-1], axis=1)) ** 2
+        active = np.any((samples != 0.0).reshape(-1, hop), axis=1)
+        emitting = active[1:-2] | active[2:-1]
+        return np.where(emitting, level, 0.0), _squared(scipy.fft.rfft(windowed[1:-1], axis=1))
 
     def band(self) -> tuple[float, float]:
         """Return the frequencies between which 99 % of the signal's energy lies, as much below as above, Hz."""
@@ -509,8 +511,13 @@ def _runs(segments: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     return np.split(np.arange(len(segments)), begins[1:])
 
 
+def _squared(spectrum: NDArray[Any]) -> Floats:
+    return np.asarray(spectrum.real**2 + spectrum.imag**2)
+
+
+@lru_cache(maxsize=16)
 def _hann(length: int) -> Floats:
-    return np.asarray(np.sin(math.pi * (np.arange(length) + 0.5) / length) ** 2)
+    return read_only(np.sin(math.pi * (np.arange(length) + 0.5) / length) ** 2)
 
 
 def _question_level(field: str, pressure: NDArray[Any]) -> None:

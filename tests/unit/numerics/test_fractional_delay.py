@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import clsim
-from clsim.numerics.fractional_delay import design_tilted, lagrange_bank
+from clsim.numerics.fractional_delay import bank_error, design_bandlimited, design_tilted, lagrange_bank
 
 RATE = 192e3
 
@@ -70,3 +70,19 @@ def test_banks_hold_complex_delays(cutoff: float, mu_max: float, nu_max: float, 
     assert design_tilted(-90.0, cutoff, mu_max, 0.5 * nu_max, importance)[0].shape[0] <= len(taps)
     if len(importance) > 1:  # weak ends take shorter filters
         assert taps.shape[1] < design_tilted(-90.0, cutoff, mu_max, nu_max)[0].shape[1]
+
+
+@pytest.mark.parametrize("cutoff", [0.3, 1.6, 2.2, 2.98])
+@pytest.mark.parametrize("mu_max", [0.55, 1.5])
+@pytest.mark.parametrize("error_db", [-60.0, -90.0, -105.0])
+def test_banks_are_as_good_as_told_at_frequencies_between(cutoff: float, mu_max: float, error_db: float) -> None:
+    """Errors at 4001 frequencies and 41 delays, which are not those of the design."""
+    taps, told = design_bandlimited(error_db, cutoff, mu_max)
+    w, mu = np.linspace(0.0, cutoff, 4001), np.linspace(-mu_max, mu_max, 41)
+    responses = np.exp(-1j * np.outer(w, np.arange(taps.shape[1]) - taps.shape[1] // 2)) @ taps.T
+    made = sum(np.outer(responses[:, q], mu**q) for q in range(len(taps)))
+    reached = 20.0 * np.log10(np.abs(made - np.exp(-1j * np.outer(w, mu))).max())
+    assert told <= error_db
+    assert reached <= told + 0.5
+    centre = taps.shape[1] // 2
+    assert 20.0 * np.log10(bank_error(taps, centre, 0.0, cutoff, mu_max)) == pytest.approx(told, abs=1e-6)

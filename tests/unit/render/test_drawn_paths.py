@@ -9,7 +9,7 @@ import pytest
 import clsim
 from clsim.numerics.band_filters import chebyshev_points
 from clsim.paths.response import SceneResponse
-from clsim.tracks import sampled
+from clsim.tracks import picked, sampled
 from clsim.tracks.tracks import SceneTracks, track
 
 
@@ -42,8 +42,8 @@ def test_instants_together_are_those_one_by_one(made: dict[str, Any], monkeypatc
     draws = []
     for together in (True, False):
         monkeypatch.setattr("clsim.paths.chain.Chain.one_by_one", property(lambda self, here=together: here))
-        picked = tuple(sampled.picked_paths(of_scene, 0, 1.0, 400, np.random.default_rng(1)))
-        draws.append((len(picked), sampled.Draw(of_scene, 0, 1.0, picked).responses(band)))
+        (drawn,) = picked.picked_paths(of_scene, 0, 1.0, (400,), np.random.default_rng(1))
+        draws.append((len(drawn), sampled.Draw(of_scene, 0, 1.0, drawn).responses(band)))
     (few, stacked), (many, single) = draws
     assert few < many
     assert np.array_equal(stacked.first, single.first)
@@ -54,11 +54,11 @@ def test_instants_together_are_those_one_by_one(made: dict[str, Any], monkeypatc
 def test_responses_are_those_of_the_paths_at_their_own_instants() -> None:
     of_scene = tracks(3.0)
     band = sampled.Band(20e3, 40e3, np.array([20e3, 30e3, 40e3]), np.ones((1, 3)) / 3)
-    (picked,) = sampled.picked_paths(of_scene, 0, 1.0, 400, np.random.default_rng(1))
-    made = sampled.Draw(of_scene, 0, 1.0, (picked,)).responses(band).responses / picked.scale
+    (drawn,) = picked.picked_paths(of_scene, 0, 1.0, (400,), np.random.default_rng(1))[0]
+    made = sampled.Draw(of_scene, 0, 1.0, (drawn,)).responses(band).responses / drawn.scale
     at = SceneResponse(of_scene.scene, 0, band.frequencies)
     for row in range(0, len(made), 7):
-        alone, when = picked.paths.part(np.array([row])), picked.times[row]
+        alone, when = drawn.paths.part(np.array([row])), drawn.times[row]
         wanted = alone.response(alone.arrivals(when), when, at)[0, 0]
         np.testing.assert_allclose(made[row], wanted, rtol=1e-12)
 
@@ -66,13 +66,48 @@ def test_responses_are_those_of_the_paths_at_their_own_instants() -> None:
 def test_ends_that_hardly_move_need_few_instants() -> None:
     """From a distance d less the way on: 12 instants for each such distance, 3 at least."""
     most = 24
-    assert sampled._instants(tracks(0.1), 0, 1.0, most) == 3
-    assert sampled._instants(tracks(1.0), 0, 1.0, most) == 7  # 12 x 1.02 / (3 - 1.02) = 6.2
-    assert sampled._instants(tracks(3.5), 0, 1.0, most) == most
-    assert sampled._instants(tracks(3.5), 0, 1.0, most, 8) == 8  # for narrow bands, but where ends are not alike
-    assert sampled._instants(tracks(3.5, turning=True), 0, 1.0, most, 8) == most
-    assert sampled._instants(tracks(0.1, turning=True), 0, 1.0, most) == most
-    assert sampled._instants(tracks(0.1, head=True), 0, 1.0, most) == most
+    assert picked._instants(tracks(0.1), 0, 1.0, most) == 3
+    assert picked._instants(tracks(1.0), 0, 1.0, most) == 7  # 12 x 1.02 / (3 - 1.02) = 6.2
+    assert picked._instants(tracks(3.5), 0, 1.0, most) == most
+    assert picked._instants(tracks(3.5), 0, 1.0, most, 8) == 8  # for narrow bands, but where ends are not alike
+    assert picked._instants(tracks(3.5, turning=True), 0, 1.0, most, 8) == most
+    assert picked._instants(tracks(0.1, turning=True), 0, 1.0, most) == most
+    assert picked._instants(tracks(0.1, head=True), 0, 1.0, most) == most
     slow = tracks(0.1)
     heard = dataclasses.replace(slow.pairs[0], end=np.where(np.arange(len(slow.pairs[0])) == 1, 0.5, np.inf))
-    assert sampled._instants(dataclasses.replace(slow, pairs=(heard,)), 0, 1.0, most) == most
+    assert picked._instants(dataclasses.replace(slow, pairs=(heard,)), 0, 1.0, most) == most
+
+
+def test_loud_paths_are_drawn_surely_and_others_as_often_as_they_are_loud(rng: np.random.Generator) -> None:
+    """What drawn paths stand for is all of the energy: shares of weights on levels of most different sizes."""
+    level = rng.exponential(size=(300, 40)) ** 3
+    level[:, 3], level[20:, 4] = 0.0, 0.0  # silence, and few paths
+    chance = picked._chances(level, 50)
+    np.testing.assert_allclose(np.delete(chance.sum(axis=0), [3, 4]), 50.0)
+    assert not chance[:, 3].any()
+    assert np.array_equal(chance[:, 4], level[:, 4] > 0.0)
+    sure = chance >= 1.0
+    assert all(
+        level[sure[:, t], t].min() > level[~sure[:, t], t].max() for t in np.flatnonzero(sure[:, :3].any(axis=0))
+    )
+    energy = np.zeros(40)
+    for rows, at, scale, first in picked._drawn(level, 50, rng, together=False):
+        assert np.array_equal(first, np.searchsorted(at[:, 0], [*np.unique(at), at.max() + 1]))
+        drawn = scale[:, 0] ** 2 * level[rows, at[:, 0]] ** 2  # of each, relative to all of the instant
+        energy += np.bincount(at[:, 0], drawn, 40)
+    assert energy[3] == 0.0
+    np.testing.assert_allclose(energy[4], 1.0)
+    np.testing.assert_allclose(np.delete(energy, 3), 1.0, atol=0.15)
+
+
+def test_both_samples_have_instants_of_their_own_spread_over_the_run() -> None:
+    of_scene = tracks(3.5)
+    first, second = picked.picked_paths(of_scene, 0, 1.0, (400, 800), np.random.default_rng(1))
+    times = [np.unique(np.concatenate([some.times[:, 0] for some in drawn])) for drawn in (first, second)]
+    assert [len(t) for t in times] == [16, 16]
+    assert len(np.intersect1d(*times)) == 2  # begin and end
+    for t in times:
+        assert np.all(np.abs(t - np.linspace(0.0, 1.0, 16)) <= 0.5 / 15 + 1e-12)
+    rows = [sum(some.first[-1] for some in drawn) for drawn in (first, second)]
+    assert 350 < rows[0] <= 420
+    assert 350 < rows[1] <= 16 * len(of_scene.pairs[0])

@@ -18,7 +18,8 @@ from clsim.paths.path_set import PathSet
 from clsim.paths.visibility.intervals import trajectory_tables
 from clsim.render.plan import within_memory
 from clsim.render.planning import plan_render
-from clsim.scene.motion.motion import Instants, Motion
+from clsim.scene.motion.instants import Instants
+from clsim.scene.motion.motion import Motion
 from clsim.scene.placement import first_approach, first_refused, nearest_within
 from clsim.scene.room.walls import first_contact
 from clsim.tracks.pruning import pruned

@@ -1,11 +1,16 @@
 """What narrow parts leave of a tone, noise or a sweep, where it is known to be nothing without filtering."""
 
+import math
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
 from clsim import Signal
 from clsim.render.baseband import Baseband
 from clsim.render.envelope import NarrowBand, Split
+from clsim.render.mixer import Mixer
+from clsim.scene.signal.occupied_bandwidth import ShortTimeSpectra
 
 RATE = 192e3
 SPLIT = Split.into((NarrowBand.designed(Baseband(40e3, 4e3, 8e3), 200.0, 1200.0, RATE, -85.0),), -85.0)
@@ -66,3 +71,33 @@ def test_the_rest_of_noise_is_that_of_its_samples(fade: float) -> None:
     for ends, rest in zip(RANGES, found, strict=True):
         np.testing.assert_array_equal(rest, split.rest(samples, *ends))
     assert [bool(np.any(rest)) for rest in found] == [not fade, False, False, True, True]
+
+
+def test_windows_in_which_the_rest_is_loud_are_those_of_its_spectra() -> None:
+    frequencies, energy, weights, _ = Signal.tone(40e3, 0.4, RATE).short_time_spectra()
+    sound = ShortTimeSpectra(frequencies, energy, weights)
+    split = Split.into(SPLIT.bands, -50.0)
+    rest, loud = split.rest_of(sound), split.loud_in(sound)
+    assert 0 < np.count_nonzero(loud) < len(loud)  # the ends are abrupt
+    np.testing.assert_array_equal(rest.weights, weights[loud])
+    stopped = energy * split.left(frequencies) ** 2
+    np.testing.assert_array_equal(rest.energy, stopped[loud])
+    assert np.array_equal(stopped.sum(axis=1) > split.silence**2, loud)
+
+
+def test_filters_that_differ_by_factors_are_mixed_alike(rng: np.random.Generator) -> None:
+    """Delays of 0 to 2 samples by factors against filters that are delayed."""
+    taps = np.hanning(65) * np.exp(-0.5j * math.pi * np.arange(-32, 33))
+    late = [np.roll(np.pad(taps, 8), k) for k in range(3)]
+    each, turn = np.stack(late), Fraction(1, 4)
+
+    def acting(frequencies: np.ndarray) -> np.ndarray:
+        return np.exp(2j * math.pi * np.outer(np.arange(3), frequencies))
+
+    one_by_one, together = Mixer.of(each, 4, turn), Mixer.of(each, 4, turn, taps[None], acting)
+    np.testing.assert_allclose(together.gains, one_by_one.gains, atol=1e-9 * np.abs(one_by_one.gains).max())
+    sound = rng.standard_normal(40_000)
+    made = [
+        mixer(lambda a, b: np.pad(sound, 70_000)[a + 70_000 : b + 70_000], 0, 200) for mixer in (one_by_one, together)
+    ]
+    np.testing.assert_allclose(made[1], made[0], atol=1e-9 * np.abs(made[0]).max())

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from clsim.render.opencl.batches import Boundaries
-from clsim.tracks.sampled import while_active
+from clsim.tracks.picked import while_active
 
 
 def test_segments_without_active_paths_are_left_out() -> None:

@@ -247,6 +247,16 @@ def test_peak_speed_finds_speed_and_time_over_many_blocks():
     assert Trajectory.fixed((0, 0, 0)).peak_speed(1.0, 1.0) == (0.0, 1.0)
 
 
+@pytest.mark.parametrize("places", [[0, 1, 4], [0, 3, 1], [0, 1, 2]], ids=["faster", "back", "even"])
+def test_peak_speeds_of_short_motions_are_those_of_long_ones(places, monkeypatch):
+    """All instants at once, and halves of ranges; both tell the first time of the largest speed."""
+    made = [Trajectory.waypoints([0, 1, 2], [(x, 0, 0) for x in places]) for _ in range(2)]
+    at_once = made[0].peak_speed(-0.05, 2.05)
+    monkeypatch.setattr("clsim.scene.motion.motion.BATCH", 1)
+    assert made[1].peak_speed(-0.05, 2.05) == pytest.approx(at_once, rel=2e-9)
+    assert at_once[0] == np.linalg.norm(made[0].velocity(np.array(at_once[1])))
+
+
 def test_values_are_frozen_and_do_not_follow_their_input():
     positions = np.array([(0.0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
     trajectory = Trajectory.waypoints([0, 1, 2, 3], positions)
