@@ -139,7 +139,7 @@ def find_tail(
     room: Any = scene.room
     tracer = Tracer(
         ray_room(room), energies, ray_engine(options.device), c, options.max_order, (options.seed, source),
-        c / centres if sized else None,
+        c / centres if sized else None, isinstance(scene.sources[source].directivity, Omni),
     )  # fmt: skip
     arrivals, departures = fibonacci_sphere(options.directions), fibonacci_sphere(DEPARTURES)
     radius = of_receivers.radius

@@ -91,6 +91,7 @@ class Tracer:
     max_order: int  # of images: energy that was only mirrored, so often at most, is theirs
     seed: tuple[int, int]  # of rays, and the source
     sized: NDArray[np.float64] | None = None  # wavelengths (B,) of bands, m, where walls scatter by their size
+    even: bool = False  # whether the source emits the same in all bands
 
     @cached_property
     def groups(self) -> list[Ints]:
@@ -110,8 +111,7 @@ class Tracer:
         energies = layout.empty()
         longest = np.full(len(self.groups), _LONGEST * self.speed_of_sound)
         self.engine.trace(self._run(origin, emitted, spheres, zone, _PILOT, longest, 0), layout, energies)
-        total = np.zeros(energies.windows.shape[1:])
-        total[:, :, self._order] = energies.windows.sum(axis=0)
+        total = energies.windows.sum(axis=0).astype(np.float64).take(self.carried[1], axis=-1)
         until, late = self._until(total), late_shares(total)
         bins = math.ceil(float(until.max()) / (STEP * self.speed_of_sound))
         bytes_each = 8.0 * len(self.energies.air) * (len(spheres.arrivals) * min(bins, RAIN / STEP) + bins)
@@ -159,9 +159,18 @@ class Tracer:
         )
 
     @cached_property
-    def _order(self) -> Ints:
-        """Bands group by group."""
-        return np.concatenate(self.groups)
+    def carried(self) -> tuple[list[Ints], Ints]:
+        """Bands whose energies rays carry, group by group, and the place (B,) of every band's energy among them."""
+        # Of bands that source and walls send alike, one is carried for all: walls of one absorption need a single one.
+        bands, place, count = [], np.empty(len(self.energies.air), np.int64), 0
+        for group in self.groups:
+            columns = self.energies.returned[:, :, group].reshape(-1, len(group)) if self.even else np.eye(len(group))
+            _, first, which = np.unique(columns, axis=1, return_index=True, return_inverse=True)
+            own, which = np.unique(first[which.ravel()], return_inverse=True)
+            bands.append(group[own])
+            place[group] = count + which
+            count += len(own)
+        return bands, place
 
     def _layout(self, spheres: Spheres, row: Ints, rows: int, bins: int, windows: int) -> Layout:
         c = self.speed_of_sound
@@ -171,7 +180,7 @@ class Tracer:
             zones, spheres.radius, row.astype(np.int32), rows,
             np.pad(spheres.arrivals, ((0, 0), (0, 1))).astype(np.float32), len(spheres.departures), STEP * c,
             WINDOW * c, bins, min(bins, round(RAIN / STEP)), windows, RAIN * c, _WHOLE / most,
-            len(self.energies.air), len(self.room.plane),
+            sum(map(len, self.carried[0])), len(self.room.plane),
         )  # fmt: skip
 
     def _run(
@@ -182,9 +191,9 @@ class Tracer:
         even = fibonacci_sphere(each)
         turned = np.stack([rotate(normalised(rng.standard_normal((1, 4))), even) for _ in range(SLOTS)], axis=1)
         directions = turned.reshape(-1, 3)
-        groups, order = self.groups, self._order
-        tables = self.energies
-        ends = np.cumsum([0, *(len(group) for group in groups)])
+        groups, tables = self.groups, self.energies
+        order = np.concatenate(self.carried[0])
+        ends = np.cumsum([0, *map(len, self.carried[0])])
         one_of_each = [group[0] for group in groups]
         wavelength = np.zeros(len(groups))
         if self.sized is not None:
@@ -252,7 +261,7 @@ class _Search:
 
     def _error_db(self) -> float:
         """Return the standard error of what is loud, dB; late energies are means over zones of a row, and smoothed."""
-        slots = self._energies.windows.astype(np.float64)
+        slots = self._energies.windows.astype(np.float64).take(self._tracer.carried[1], axis=-1)
         early = round(RAIN / WINDOW)
         found = [slots[:, :, :early]]
         late = smoothed_windows(slots[:, :, early:], early)
@@ -267,18 +276,14 @@ class _Search:
         return 10.0 / math.log(10.0) * math.sqrt(error / count) if count else 0.0
 
     def _received(self, error_db: float) -> Received:
-        energies, order = self._energies, self._tracer._order
+        energies, place = self._energies, self._tracer.carried[1]
         zones = np.bincount(self._row, minlength=self._layout.rows)
-        early, late, images = (
-            np.empty(table.shape, np.float32 if table.ndim == 4 else np.float64)
-            for table in (energies.early, energies.late, energies.images)
-        )
         unit = 4.0 * np.pi / (self._layout.scale * self._rays)  # energy of a whole number
-        early[..., order] = energies.early * unit
-        late[..., order] = energies.late * (unit / zones)[:, None, None, None]
-        images[..., order] = energies.images * unit
+        early = (energies.early * unit).astype(np.float32).take(place, axis=-1)
+        late = (energies.late * (unit / zones)[:, None, None, None]).astype(np.float32).take(place, axis=-1)
+        images = (energies.images * unit).take(place, axis=-1)
         departed = np.asarray(energies.departures * unit, np.float64)
-        return Received(early, late, np.asarray(images, np.float64), departed, self._row, self._rays, error_db)
+        return Received(early, late, images, departed, self._row, self._rays, error_db)
 
 
 def smoothed_windows(energy: Floats, first: int) -> Floats:
