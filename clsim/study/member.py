@@ -21,6 +21,7 @@ from clsim.files.atomic import is_disk_full, naming_full, to_disk, tree_to_disk
 from clsim.numerics.blas import with_blas_threads
 from clsim.output.raw_files import arrays_with_missing_chunks, is_sealed, seal
 from clsim.output.stores import STORE_FORMAT, write_zarr
+from clsim.study import OF_WORKERS
 from clsim.study.content import Computed, computed, metrics_function
 from clsim.study.file import Study
 from clsim.study.shards import Shards
@@ -40,7 +41,7 @@ class MemberTasks(Tasks):
     """The members of a study, as workers do them."""
 
     kind, several = "member", True
-    loads = ("xarray", "dask.array", "zarr", "scipy.fft", "scipy.linalg", "pyopencl.invoker")
+    loads = OF_WORKERS
 
     def __init__(self, study: Study, folder: Path) -> None:
         render = study.content.get("render", {})

@@ -17,6 +17,7 @@ from clsim.errors import InputError, counted, in_one_line, of_file, warn
 from clsim.files.atomic import locked, naming_full, remove_leftovers, safe_path, sha256_of, uninterrupted
 from clsim.output.raw_files import is_sealed, seal
 from clsim.output.stores import write_zarr
+from clsim.study import OF_WORKERS
 from clsim.study.content import metrics_function
 from clsim.study.file import DEFAULT_LIMIT, Member, Study, checked, load_study
 from clsim.study.member import (
@@ -35,7 +36,7 @@ from clsim.study.shards import FOLDER as SHARDS
 from clsim.study.shards import WAITING, Shards
 from clsim.workflow.console import Progress, no_progress
 from clsim.workflow.pieces import versions
-from clsim.workflow.processes import Dispatch, local_devices
+from clsim.workflow.processes import Dispatch, local_devices, start_server
 from clsim.workflow.result_folder import first_difference
 from clsim.workflow.workers import Workers
 
@@ -270,6 +271,8 @@ def run_study(
     progress = progress or no_progress
     doing = Workers(workers, scheduler)
     doing.check("study", "a study")
+    if scheduler is None:
+        start_server(OF_WORKERS)
     with of_file(path):
         study = load_study(path, DEFAULT_LIMIT if limit is None else limit)
     folder = Path(output).absolute()
