@@ -2,5 +2,5 @@
 
 # Modules of a worker, which the process that workers are forked from loads once for all.
 OF_WORKERS = (
-    "clsim.study.member", "xarray", "dask.array", "zarr", "scipy.fft", "scipy.linalg", "pyopencl.invoker",
+    "clsim.study.member", "numcodecs.zstd", "scipy.fft", "scipy.linalg", "pyopencl.invoker",
 )  # fmt: skip

@@ -279,9 +279,9 @@ class _Search:
         energies, place = self._energies, self._tracer.carried[1]
         zones = np.bincount(self._row, minlength=self._layout.rows)
         unit = 4.0 * np.pi / (self._layout.scale * self._rays)  # energy of a whole number
-        early = (energies.early * unit).astype(np.float32).take(place, axis=-1)
-        late = (energies.late * (unit / zones)[:, None, None, None]).astype(np.float32).take(place, axis=-1)
-        images = (energies.images * unit).take(place, axis=-1)
+        early: Any = (energies.early * unit).astype(np.float32).take(place, axis=-1)
+        late: Any = (energies.late * (unit / zones)[:, None, None, None]).astype(np.float32).take(place, axis=-1)
+        images: Any = (energies.images * unit).take(place, axis=-1)
         departed = np.asarray(energies.departures * unit, np.float64)
         return Received(early, late, images, departed, self._row, self._rays, error_db)
 
