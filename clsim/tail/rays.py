@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -103,25 +103,48 @@ class Tracer:
         return [group[octave[group] == one] for group in alike for one in np.unique(octave[group])]
 
     def received(
-        self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int, error_db: float
-    ) -> list[Received]:
-        """Return the energies of a source's zone, in parts of as many spheres as fit the memory."""
+        self, origins: Floats, emitted: Sequence[Emitted], spheres: Spheres, error_db: float,
+        progress: Callable[[float], None],
+    ) -> Iterator[tuple[int, list[Received]]]:  # fmt: skip
+        """Yield the first sphere of each part that fits the memory, and the energies of the source's zones there."""
+        pilots = [
+            self._pilot(origin, one, spheres, zone)
+            for zone, (origin, one) in enumerate(zip(origins, emitted, strict=True))
+        ]
+        untils = [self._until(pilot) for pilot in pilots]
+        late = np.mean([late_shares(pilot) for pilot in pilots], axis=0)
+        bins = math.ceil(float(np.max(untils)) / (STEP * self.speed_of_sound))
+        bytes_each = 8.0 * len(self.energies.air) * (len(spheres.arrivals) * min(bins, RAIN / STEP) + bins)
+        step, count = max(1, int(_BYTES / bytes_each)), len(spheres.centres)
+        for i in range(0, count, step):
+            part = slice(i, i + step)
+            some = replace(spheres, centres=spheres.centres[part], volumes=spheres.volumes[part])
+            layout = self._of_part(some, late[part], float(np.max(untils)))
+            searches = [
+                _Search(self, origin, one, some, zone, until, layout)
+                for zone, (origin, one, until) in enumerate(zip(origins, emitted, untils, strict=True))
+            ]
+            shared: list[list[_Search]] = []
+            for k, search in enumerate(searches):
+                search.begin(shared)
+                progress((i + 0.5 * step * (k + 1) / len(searches)) / (count + step))
+            for k, search in enumerate(searches):
+                search.refine(error_db)
+                progress((i + 0.5 * step * (1.0 + (k + 1) / len(searches))) / (count + step))
+            yield i, [search.found() for search in searches]
+
+    def _pilot(self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int) -> Floats:
+        """Return energies (Z, windows, B) by few rays."""
         windows = math.ceil(_LONGEST / WINDOW)
         layout = self._layout(spheres, np.zeros(len(spheres.centres), np.int64), 1, 0, windows)
-        energies = layout.empty()
-        longest = np.full(len(self.groups), _LONGEST * self.speed_of_sound)
+        energies, longest = layout.empty(), np.full(len(self.groups), _LONGEST * self.speed_of_sound)
         self.engine.trace(self._run(origin, emitted, spheres, zone, _PILOT, longest, 0), layout, energies)
-        total = energies.windows.sum(axis=0).astype(np.float64).take(self.carried[1], axis=-1)
-        until, late = self._until(total), late_shares(total)
-        bins = math.ceil(float(until.max()) / (STEP * self.speed_of_sound))
-        bytes_each = 8.0 * len(self.energies.air) * (len(spheres.arrivals) * min(bins, RAIN / STEP) + bins)
-        step = max(1, int(_BYTES / bytes_each))
-        found = []
-        for i in range(0, len(spheres.centres), step):
-            part = slice(i, i + step)
-            search = _Search(self, origin, emitted, spheres, zone, until, part, late[part])
-            found.append(search.found(error_db))
-        return found
+        return np.asarray(energies.windows.sum(axis=0).astype(np.float64).take(self.carried[1], axis=-1))
+
+    def _of_part(self, spheres: Spheres, late: Floats, until: float) -> Layout:
+        """Return the layout of some spheres, of late energies (Z,), up to a way, m."""
+        bins, windows = (math.ceil(until / (step * self.speed_of_sound)) for step in (STEP, WINDOW))
+        return self._layout(spheres, *rows_of(late), bins, windows)
 
     def _until(self, windows: Floats) -> Floats:
         """Return the way (G,), m, after which little is left of energies (Z, windows, B) in a group's bands."""
@@ -226,31 +249,47 @@ def rows_of(late: Floats) -> tuple[Ints, int]:
 
 
 class _Search:
-    """Rays from one place until energies are known as well as asked for."""
+    """Rays from one zone of the source until energies are known as well as asked for."""
 
+    # Late energies are means over all zones of the source in which they are alike, as they are over zones of receivers:
+    # few rays, of slow decay, bring most of them, and no zone has enough of these by itself.
     def __init__(
         self, tracer: Tracer, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int, until: Floats,
-        part: slice, late: Floats,
+        layout: Layout,
     ) -> None:  # fmt: skip
         self._tracer, self._origin, self._emitted, self._zone, self._until = tracer, origin, emitted, zone, until
-        self._spheres = replace(spheres, centres=spheres.centres[part], volumes=spheres.volumes[part])
-        self._row, rows = rows_of(late)
-        c = tracer.speed_of_sound
-        bins, windows = (math.ceil(float(until.max()) / (step * c)) for step in (STEP, WINDOW))
-        self._layout = tracer._layout(self._spheres, self._row, rows, bins, windows)
-        self._energies = self._layout.empty()
-        self._rays = 0
+        self._spheres, self._layout, self._row = spheres, layout, layout.late_row.astype(np.int64)
+        self._energies = layout.empty()
+        self._rays, self._error = 0, 0.0
+        self._shared = [self]
 
-    def found(self, wanted_db: float) -> Received:
-        """Trace until the error is as small as is asked for, or rays are very many."""
+    def begin(self, shared: list[list[_Search]]) -> None:
+        """Trace the first rays, and share late energies with a search whose ones are alike, or with later ones."""
         self._trace(max(_FIRST // len(self._until), _LEAST))
-        error = self._error_db()
-        while error > wanted_db and self._rays < MOST_RAYS:
-            most = min(1.1 * (error / wanted_db) ** 2, _GROWTH) * self._rays
+        mine = self._late()
+        for others in shared:
+            ratio = np.divide(mine, others[0]._late(), out=np.ones(len(mine)), where=mine > 0.0)
+            if np.all((ratio < _ALIKE) & (ratio > 1.0 / _ALIKE)):
+                others[0]._energies.late += self._energies.late
+                self._energies.late = others[0]._energies.late
+                others.append(self)
+                self._shared = others
+                return
+        shared.append(self._shared)
+
+    def _late(self) -> Floats:
+        """Return the late energies (rows,) of a ray."""
+        late = self._energies.windows[:, :, round(RAIN / WINDOW) :].sum(axis=(0, 2, 3)) / self._rays
+        return np.asarray(np.bincount(self._row, late, self._layout.rows), np.float64)
+
+    def refine(self, wanted_db: float) -> None:
+        """Trace until the error is as small as is asked for, or rays are very many."""
+        self._error = self._error_db()
+        while self._error > wanted_db and self._rays < MOST_RAYS:
+            most = min(1.1 * (self._error / wanted_db) ** 2, _GROWTH) * self._rays
             missing = min(most, MOST_RAYS) - self._rays
             self._trace(min(max(math.ceil(missing / SLOTS), _LEAST // 4), _LARGEST))
-            error = self._error_db()
-        return self._received(error)
+            self._error = self._error_db()
 
     def _trace(self, each: int) -> None:
         run = self._tracer._run(
@@ -261,8 +300,11 @@ class _Search:
 
     def _error_db(self) -> float:
         """Return the standard error of what is loud, dB; late energies are means over zones of a row, and smoothed."""
-        slots = self._energies.windows.astype(np.float64).take(self._tracer.carried[1], axis=-1)
+        slots = self._energies.windows.astype(np.float64)
         early = round(RAIN / WINDOW)
+        share = self._rays / sum(search._rays for search in self._shared)
+        slots[:, :, early:] = share * sum(search._energies.windows[:, :, early:] for search in self._shared)
+        slots = slots.take(self._tracer.carried[1], axis=-1)
         found = [slots[:, :, :early]]
         late = smoothed_windows(slots[:, :, early:], early)
         found += [late[:, self._row == row].mean(axis=1, keepdims=True) for row in range(self._layout.rows)]
@@ -275,15 +317,17 @@ class _Search:
             count += int(np.count_nonzero(loud))
         return 10.0 / math.log(10.0) * math.sqrt(error / count) if count else 0.0
 
-    def _received(self, error_db: float) -> Received:
+    def found(self) -> Received:
+        """Return the energies."""
         energies, place = self._energies, self._tracer.carried[1]
         zones = np.bincount(self._row, minlength=self._layout.rows)
         unit = 4.0 * np.pi / (self._layout.scale * self._rays)  # energy of a whole number
+        of_late = unit * self._rays / sum(search._rays for search in self._shared)
         early: Any = (energies.early * unit).astype(np.float32).take(place, axis=-1)
-        late: Any = (energies.late * (unit / zones)[:, None, None, None]).astype(np.float32).take(place, axis=-1)
+        late: Any = (energies.late * (of_late / zones)[:, None, None, None]).astype(np.float32).take(place, axis=-1)
         images: Any = (energies.images * unit).take(place, axis=-1)
         departed = np.asarray(energies.departures * unit, np.float64)
-        return Received(early, late, images, departed, self._row, self._rays, error_db)
+        return Received(early, late, images, departed, self._row, self._rays, self._error)
 
 
 def smoothed_windows(energy: Floats, first: int) -> Floats:
