@@ -26,6 +26,7 @@ RAIN = 0.1  # s, up to which zones are told apart and scattered energy reaches t
 MOST_RAYS = 131_072  # from one place
 _PILOT = 12  # rays of a slot that find out how long it takes
 _FIRST, _LEAST = 512, 64  # rays of a slot at first, over the groups of bands, and at least
+_FIRST_SHARED = 256  # likewise at first, of zones that may share their late energies
 _LARGEST = 1024  # rays of a slot at a time
 _GROWTH = 4.0  # of their number at most before the error is looked at again
 _LONGEST = 10.0  # s
@@ -126,11 +127,10 @@ class Tracer:
             ]
             shared: list[list[_Search]] = []
             for k, search in enumerate(searches):
-                search.begin(shared)
-                progress((i + 0.5 * step * (k + 1) / len(searches)) / (count + step))
-            for k, search in enumerate(searches):
-                search.refine(error_db)
-                progress((i + 0.5 * step * (1.0 + (k + 1) / len(searches))) / (count + step))
+                search.begin(shared, _FIRST if len(searches) == 1 else _FIRST_SHARED)
+                progress((i + step * (k + 1) / (len(searches) + 1)) / (count + step))
+            while sum(search.refine(error_db) for search in searches):  # each in turn: what it finds serves others
+                pass
             yield i, [search.found() for search in searches]
 
     def _pilot(self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int) -> Floats:
@@ -263,9 +263,9 @@ class _Search:
         self._rays, self._error = 0, 0.0
         self._shared = [self]
 
-    def begin(self, shared: list[list[_Search]]) -> None:
+    def begin(self, shared: list[list[_Search]], first: int) -> None:
         """Trace the first rays, and share late energies with a search whose ones are alike, or with later ones."""
-        self._trace(max(_FIRST // len(self._until), _LEAST))
+        self._trace(max(first // len(self._until), _LEAST))
         mine = self._late()
         for others in shared:
             ratio = np.divide(mine, others[0]._late(), out=np.ones(len(mine)), where=mine > 0.0)
@@ -282,14 +282,15 @@ class _Search:
         late = self._energies.windows[:, :, round(RAIN / WINDOW) :].sum(axis=(0, 2, 3)) / self._rays
         return np.asarray(np.bincount(self._row, late, self._layout.rows), np.float64)
 
-    def refine(self, wanted_db: float) -> None:
-        """Trace until the error is as small as is asked for, or rays are very many."""
+    def refine(self, wanted_db: float) -> bool:
+        """Trace more rays and return True, if the error is larger than is asked for and rays are not very many."""
         self._error = self._error_db()
-        while self._error > wanted_db and self._rays < MOST_RAYS:
-            most = min(1.1 * (self._error / wanted_db) ** 2, _GROWTH) * self._rays
-            missing = min(most, MOST_RAYS) - self._rays
-            self._trace(min(max(math.ceil(missing / SLOTS), _LEAST // 4), _LARGEST))
-            self._error = self._error_db()
+        if self._error <= wanted_db or self._rays >= MOST_RAYS:
+            return False
+        most = min(1.1 * (self._error / wanted_db) ** 2, _GROWTH) * self._rays
+        missing = min(most, MOST_RAYS) - self._rays
+        self._trace(min(max(math.ceil(missing / SLOTS), _LEAST // 4), _LARGEST))
+        return True
 
     def _trace(self, each: int) -> None:
         run = self._tracer._run(
