@@ -286,14 +286,20 @@ class SourceSignals:
 
     def _sent(self, zone: int, first: int, last: int) -> NDArray[Any]:
         """Return the signals in all directions (Q, n), relative to a wave front from the zone's middle."""
-        grid = np.arange(first // NODE, -(-last // NODE) + 1) * NODE
-        low = first - self._margin
-        emitted = self._emitted(low, last + self._margin).astype(np.float32)
-        ahead, level = np.zeros((2, len(self.tail.departures), len(grid), 1))
+        sent = np.zeros((len(self.tail.departures), last - first), np.float32)
+        grid = _grid(first, last)
+        there = np.flatnonzero(self._near(zone, grid))
+        if not len(there):
+            return sent
+        # Beyond the nodes next to these all is silence.
+        begin, end = max(first, int(grid[there[0]]) - NODE), min(last, int(grid[there[-1]]) + NODE)
+        grid, low = _grid(begin, end), begin - self._margin
         near = self._near(zone, grid)
+        emitted = self._emitted(low, end + self._margin).astype(np.float32)
+        ahead, level = np.zeros((2, len(sent), len(grid), 1))
         ahead[:, near, 0], level[:, near, 0] = self._sending(zone, grid[near])
-        motion = Motion(ahead, level)
-        return self.waves.received(emitted[None], low, motion, first, last)
+        sent[:, begin - first : end - first] = self.waves.received(emitted[None], low, Motion(ahead, level), begin, end)
+        return sent
 
     def _near(self, zone: int, grid: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Mask (N,) of nodes at and next to which a zone may be heard in some direction."""
