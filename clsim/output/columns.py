@@ -80,7 +80,8 @@ class Columns:
         from xarray.conventions import encode_cf_variable
 
         encoded = encode_cf_variable(variable)
-        self.add(name, tuple(map(str, encoded.dims)), encoded.values, encoded.attrs, coord=coord)
+        attrs = {key: value for key, value in encoded.attrs.items() if key != "_FillValue"}  # what is missing is NaN
+        self.add(name, tuple(map(str, encoded.dims)), encoded.values, attrs, coord=coord)
 
 
 def write_group(content: Columns, path: Path) -> None:
