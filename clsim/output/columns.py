@@ -27,16 +27,6 @@ class Column(NamedTuple):
     values: NDArray[Any]
     attrs: dict[str, Any]
 
-    @property
-    def plain(self) -> NDArray[Any]:
-        """Its values as Zarr stores them: numbers of at most 64 bits (complex ones 128), low bytes first, or texts."""
-        kind = self.values.dtype.kind
-        if kind not in _KINDS:
-            return self.values.astype(object)
-        widest = {"f": 8, "c": 16}.get(kind, self.values.dtype.itemsize)
-        size = min(self.values.dtype.itemsize, widest)
-        return np.ascontiguousarray(self.values, f"<{kind}{size}").reshape(self.values.shape)
-
 
 @dataclass(slots=True, eq=False)
 class Columns:
@@ -93,7 +83,7 @@ def write_group(content: Columns, path: Path) -> None:
         if name not in arrays:
             chunk = chunk_shape(column.values.shape, max(column.values.dtype.itemsize, 8))
             arrays[name] = create_array(path / name, column, chunk)
-            _write_chunks(path / name, column.plain, chunk)
+            _write_chunks(path / name, column.values, chunk)
     apart = sorted(name for name in content.coords if content.variables[name].dims != (name,))
     named = {"coordinates": " ".join(apart)} if apart else {}
     gathered = {"kind": "inline", "must_understand": False, "metadata": arrays}
@@ -119,14 +109,13 @@ def _text(metadata: dict[str, Any]) -> str:
 
 def create_array(path: Path, column: Column, chunk: tuple[int, ...]) -> dict[str, Any]:
     """Write the metadata of an array, and return them."""
-    plain = column.plain
-    kind = plain.dtype.kind
-    endian = {"configuration": {"endian": "little"}} if plain.dtype.itemsize > 1 else {}
-    text = kind == "O"
+    stored = stored_type(column.values.dtype)
+    endian = {"configuration": {"endian": "little"}} if stored.itemsize > 1 else {}
+    kind, text = stored.kind, stored.kind == "O"
     fill = {"O": "", "b": False, "f": "NaN", "c": ["NaN", "NaN"]}.get(kind, 0)
     metadata = {
-        "shape": plain.shape,
-        "data_type": "string" if text else plain.dtype.name,
+        "shape": column.values.shape,
+        "data_type": "string" if text else stored.name,
         "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": chunk}},
         "chunk_key_encoding": {"name": "default", "configuration": {"separator": "/"}},
         "fill_value": fill,
@@ -146,6 +135,13 @@ def create_array(path: Path, column: Column, chunk: tuple[int, ...]) -> dict[str
     (path / "zarr.json").write_text(content, "utf-8")
     found: dict[str, Any] = json.loads(content)
     return found
+
+
+def stored_type(given: np.dtype[Any]) -> np.dtype[Any]:
+    """Return the type that Zarr stores: numbers of at most 64 bits (complex ones 128), low bytes first, or texts."""
+    if given.kind not in _KINDS:
+        return np.dtype(object)
+    return np.dtype(f"<{given.kind}{min(given.itemsize, 16 if given.kind == 'c' else 8)}")
 
 
 def chunk_shape(shape: tuple[int, ...], item: int) -> tuple[int, ...]:
@@ -174,12 +170,13 @@ def write_chunk(path: Path, place: tuple[int, ...], values: NDArray[Any]) -> Pat
     from google_crc32c import value as crc32c
     from numcodecs.zstd import compress
 
-    if values.dtype.kind == "O":
+    stored = stored_type(values.dtype)
+    if stored.kind == "O":
         texts = [str(text).encode() for text in values.ravel()]
         sized = (len(text).to_bytes(4, "little") + text for text in texts)
         content = len(texts).to_bytes(4, "little") + b"".join(sized)
     else:
-        content = np.ascontiguousarray(values).tobytes()
+        content = np.ascontiguousarray(values, stored).tobytes()
     packed = compress(content, _COMPRESSION["level"])
     file = path.joinpath("c", *map(str, place))
     file.parent.mkdir(parents=True, exist_ok=True)

@@ -50,4 +50,4 @@ def test_workers_have_their_modules_from_the_beginning(tmp_path) -> None:
     script.write_text(LOADED % (OF_WORKERS, OF_WORKERS), "utf-8")
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-    assert OF_WORKERS == MemberTasks.loads
+    assert MemberTasks.loads == OF_WORKERS
