@@ -26,7 +26,6 @@ RAIN = 0.1  # s, up to which zones are told apart and scattered energy reaches t
 MOST_RAYS = 131_072  # from one place
 _PILOT = 12  # rays of a slot that find out how long it takes
 _FIRST, _LEAST = 512, 64  # rays of a slot at first, over the groups of bands, and at least
-_FIRST_SHARED = 256  # likewise at first, of zones that may share their late energies
 _LARGEST = 1024  # rays of a slot at a time
 _GROWTH = 4.0  # of their number at most before the error is looked at again
 _LONGEST = 10.0  # s
@@ -127,7 +126,7 @@ class Tracer:
             ]
             shared: list[list[_Search]] = []
             for k, search in enumerate(searches):
-                search.begin(shared, _FIRST if len(searches) == 1 else _FIRST_SHARED)
+                search.begin(shared)
                 progress((i + step * (k + 1) / (len(searches) + 1)) / (count + step))
             while sum(search.refine(error_db) for search in searches):  # each in turn: what it finds serves others
                 pass
@@ -263,9 +262,9 @@ class _Search:
         self._rays, self._error = 0, 0.0
         self._shared = [self]
 
-    def begin(self, shared: list[list[_Search]], first: int) -> None:
+    def begin(self, shared: list[list[_Search]]) -> None:
         """Trace the first rays, and share late energies with a search whose ones are alike, or with later ones."""
-        self._trace(max(first // len(self._until), _LEAST))
+        self._trace(max(_FIRST // len(self._until), _LEAST))
         mine = self._late()
         for others in shared:
             ratio = np.divide(mine, others[0]._late(), out=np.ones(len(mine)), where=mine > 0.0)
@@ -309,14 +308,16 @@ class _Search:
         found = [slots[:, :, :early]]
         late = smoothed_windows(slots[:, :, early:], early)
         found += [late[:, self._row == row].mean(axis=1, keepdims=True) for row in range(self._layout.rows)]
-        error, count = 0.0, 0
+        squares, counts = [], []
         loudest = slots.mean(axis=0).max(axis=(0, 1))
         for part in found:
             mean, spread = part.mean(axis=0), part.std(axis=0, ddof=1) / math.sqrt(SLOTS)
             loud = mean > _DEPTH * loudest
-            error += float(np.sum(np.square(spread[loud] / mean[loud])))
-            count += int(np.count_nonzero(loud))
-        return 10.0 / math.log(10.0) * math.sqrt(error / count) if count else 0.0
+            squares.append(float(np.sum(np.square(spread[loud] / mean[loud]))))
+            counts.append(int(np.count_nonzero(loud)))
+        # Zones that share what comes late must not have what comes first less well known for it.
+        errors = [squares[0] / max(counts[0], 1), sum(squares) / max(sum(counts), 1)]
+        return 10.0 / math.log(10.0) * math.sqrt(max(errors))
 
     def found(self) -> Received:
         """Return the energies."""
