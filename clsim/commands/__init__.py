@@ -11,7 +11,7 @@ COMMANDS = {
     "run": ("run", "render a scene file into a folder of sound files, tables and pictures"),
     "rir": ("scenes", "write the impulse responses of a scene file at one instant"),
     "paths": ("scenes", "list the paths of a scene file"),
-    "study": ("results", "render a scene many times with other values of some of its fields"),
+    "study": ("study", "render a scene many times with other values of some of its fields"),
     "score": ("results", "report the errors of ranges found in the results of a run"),
     "plot": ("plot", "draw directivities, or the absorption of air"),
     "compare": ("compare", "compare a measured impulse response with that of a scene file"),

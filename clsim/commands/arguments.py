@@ -6,8 +6,6 @@ import argparse
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from clsim.render.options import RenderOptions
-
 _UNITS = {"duration": "SECONDS"}  # shown where a value goes
 
 
@@ -34,6 +32,8 @@ def add_output(parser: argparse.ArgumentParser, text: str, default: str | None =
 
 def add_render_option(parser: argparse.ArgumentParser, name: str, text: str) -> None:
     """Add an option of `render`, of the type that `RenderOptions` gives it; left out it is None."""
+    from clsim.render.options import RenderOptions  # late: others, as `clsim study`, begin sooner
+
     wanted = get_type_hints(RenderOptions)[name]
     kind = wanted if get_origin(wanted) is Literal else next(iter(get_args(wanted)), wanted)  # of `float | None`: float
     flag = f"--{name.replace('_', '-')}"

@@ -1,59 +1,20 @@
-"""`clsim study`, `score` and `verify`: studies, ranges found in results, and whether results are as written."""
+"""`clsim score` and `verify`: ranges found in results, and whether results are as written."""
 
 from __future__ import annotations
 
 import argparse
 import csv
-import sys
-from pathlib import Path
 
 import numpy as np
 
-from clsim.commands.arguments import add_output, as_path, as_whole
+from clsim.commands.arguments import add_output, as_path
 from clsim.errors import InputError
 from clsim.files.atomic import NewFile, atomic_path
 from clsim.scene_file import load_scene
 from clsim.score.ranging import METHODS, RangingScore, ranging, source_index
 from clsim.workflow import result_folder as runs
-from clsim.workflow.console import progress
 from clsim.workflow.load_recording import load_recording
 from clsim.workflow.result_folder import COMPLETED
-
-_SHOWN = 10  # failed members that are printed
-
-
-def study_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("study", type=Path, help="study file (TOML)")
-    parser.add_argument("-o", "--output", type=as_path, required=True, metavar="FOLDER", help="folder of the results")
-    parser.add_argument("--resume", action="store_true", help="continue a study that was stopped or killed")
-    parser.add_argument("--retry", action="store_true", help="continue, and repeat failed members")
-    parser.add_argument(
-        "--limit", type=as_whole, default=1000, metavar="N", help="largest number of members (default: 1000)"
-    )
-    parser.add_argument(
-        "--workers", type=as_whole, metavar="N", help="processes (default: one per GPU, else per two cores)"
-    )
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers do the work instead")
-
-
-def study(options: argparse.Namespace) -> int:
-    """Run the study; return the exit status, 1 if members failed."""
-    from clsim.study.run import run_study  # late, as all that `clsim score` does without
-
-    rows = run_study(
-        options.study, options.output, resume=options.resume, retry=options.retry, limit=options.limit,
-        workers=options.workers, scheduler=options.scheduler, progress=progress,
-    )  # fmt: skip
-    results = "shards" if (options.output / "shards").exists() else "study.zarr"
-    failed = [row for row in rows if row.status == "failed"]
-    for row in failed[:_SHOWN]:
-        print(f"clsim: member {row.member} failed: {row.error}", file=sys.stderr)
-    if len(failed) > _SHOWN:
-        print(f"clsim: and {len(failed) - _SHOWN} more", file=sys.stderr)
-    print(f"{len(rows) - len(failed)} of {len(rows)} members finished in {options.output / results}")
-    print(options.output / "index.jsonl")
-    return 1 if failed else 0
-
 
 _COLUMNS = ("delay", "exact", "error", "crlb", "line_of_sight")
 

@@ -189,8 +189,15 @@ def sha256_of(path: Path) -> str:
 def tree_to_disk(folder: Path) -> None:
     """Flush all files of a folder to the disk."""
     # Flushes that wait at the same time share one commit of the file system: 10 ms instead of 350 ms for 95 names.
+    inside = [Path(where, name) for where, folders, files in os.walk(folder) for name in (*folders, *files)]
+    parts = [inside[k::_FLUSHES] for k in range(min(_FLUSHES, len(inside)))]
     with ThreadPoolExecutor(_FLUSHES) as threads:
-        deque(threads.map(to_disk, [folder, *folder.rglob("*")]), maxlen=0)
+        deque(threads.map(_all_to_disk, [[folder], *parts]), maxlen=0)
+
+
+def _all_to_disk(paths: Iterable[Path]) -> None:
+    for path in paths:
+        to_disk(path)
 
 
 @contextmanager

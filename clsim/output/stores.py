@@ -12,16 +12,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clsim.arrays import Floats, row_name
+from clsim.arrays import Floats, row_name, texts
 from clsim.errors import InputError, check_packages
 from clsim.files.atomic import to_disk, tree_to_disk, uninterrupted
 from clsim.files.sound import EnvelopeFile, SoundFile, wav_header
 from clsim.output import raw_files
+from clsim.output.columns import Column, Columns, create_array, write_chunk, write_group
 from clsim.plugins import STORES as STORE_PLUGINS
 from clsim.plugins import with_plugins
 from clsim.recording import sound_attributes, sound_coordinates
@@ -61,6 +62,18 @@ class StoredSound:
         root = {"clsim_store_format": STORE_FORMAT, "clsim_version": self.version, "scene": self.scene}
         rates = {"sampling_rate": self.sampling_rate, "carrier": self.carrier}
         return root | {name: rate for name, rate in rates.items() if rate is not None}
+
+    def columns(self) -> Columns:
+        """Return all but the sound as `coordinates` does, without its packages."""
+        found = Columns(self.attributes())
+        found.add("receiver", "receiver", texts(self.receiver_names))
+        found.add("unit", "receiver", texts(self.units), coord=True)
+        found.add("axis", "axis", texts("xyz"))
+        about = {"units": "m", "long_name": "position at 0 s"}
+        found.add("position", ("receiver", "axis"), self.positions, about, coord=True)
+        if any(channel for _, channel in self.channels):
+            found.add("channel", "receiver", texts(channel for _, channel in self.channels), coord=True)
+        return found
 
     def coordinates(self) -> Any:
         """Return all but the sound as an xarray Dataset."""
@@ -286,17 +299,17 @@ class _ZarrStore(SoundStore):
 
         path = self.paths[0]
         shutil.rmtree(path, ignore_errors=True)
-        write_zarr(self._sound.coordinates(), path, "w-")
-        self._create_array("r+")
+        write_group(self._sound.columns(), path)
+        self._create_array()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Zarr says that version 3 of its specification does not know this yet
             uninterrupted(zarr.consolidate_metadata, path)
         tree_to_disk(path)
 
-    def _create_array(self, mode: Literal["r+", "w-"]) -> None:
+    def _create_array(self) -> None:
         import zarr
 
-        sound, group = self._sound, zarr.open_group(self.paths[0], mode=mode, zarr_format=3)
+        sound, group = self._sound, zarr.open_group(self.paths[0], mode="r+", zarr_format=3)
         uninterrupted(
             group.create_array, "sound", shape=(len(sound.receiver_names), sound.samples),
             chunks=(1, min(sound.chunk, sound.samples)), dtype=sound.sample_type, fill_value=np.nan,
@@ -341,9 +354,27 @@ class _ZarrStore(SoundStore):
 class MemberStore(_ZarrStore):
     """Sound of a member of a study in an empty folder, whose group gets all else when it is finished."""
 
+    # Written past Zarr: its calls take longer than the samples of short scenes.
     def create(self) -> None:
-        """Write an array without chunks yet, alone."""
-        self._create_array("w-")
+        """Write an array without chunks yet, alone, of one receiver and one chunk of the run each."""
+        sound = self._sound
+        samples = np.broadcast_to(np.zeros((), sound.sample_type), (len(sound.receiver_names), sound.samples))
+        column = Column(("receiver", "time"), samples, sound.sound_attributes)
+        create_array(self.paths[0] / "sound", column, (1, self._chunk))
+
+    @property
+    def _chunk(self) -> int:
+        return min(self._sound.chunk, self._sound.samples)
+
+    def open(self) -> None:
+        """Nothing is to be opened."""
+
+    def write(self, start: int, samples: NDArray[Any], first: int = 0) -> None:
+        """Write whole chunks `(receivers, n)` from sample `start` on, of receiver `first` and those behind it."""
+        padded = np.zeros((len(samples), self._chunk), self._sound.sample_type)
+        padded[:, : samples.shape[1]] = samples
+        for r, row in enumerate(padded, first):
+            self._written.append(write_chunk(self.paths[0] / "sound", (r, start // self._chunk), row))
 
 
 class _ArrayRow:
@@ -381,30 +412,3 @@ def _compressors() -> list[Any]:
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
     return [ZstdCodec(level=0), Crc32cCodec()]
-
-
-def write_zarr(content: Any, path: Path, mode: Literal["a", "w-"]) -> None:
-    """Write an xarray Dataset into a Zarr group: all chunks, those of zeros too, each with its checksum."""
-    # Zarr writes into memory: for many small arrays its threads take longer than all else.
-    import zarr
-    from zarr.core.buffer import default_buffer_prototype
-
-    made = default_buffer_prototype().buffer.from_bytes
-    there = {p.relative_to(path).as_posix(): p for p in path.glob("*/zarr.json")}
-    data = {name: made(file.read_bytes()) for name, file in there.items()}
-    store = zarr.storage.MemoryStore(data)
-    encoding = {
-        name: {"compressors": _compressors()} for name in content.variables if f"{name}/zarr.json" not in there
-    }  # others keep theirs
-    # Indented, JSON is written by Python, not by C: a fifth of the time that the files of a short scene take.
-    with warnings.catch_warnings(), zarr.config.set({"json_indent": None}):
-        warnings.simplefilter("ignore")  # Zarr says that version 3 of its specification does not know gathering yet
-        content.assign_attrs(raw_files.ALL_CHUNKS).to_zarr(
-            store, mode="a", consolidated=False, zarr_format=3, encoding=encoding, write_empty_chunks=True
-        )
-        zarr.consolidate_metadata(store)
-    path.mkdir(exist_ok=mode == "a")
-    for name, buffer in data.items():
-        if name not in there:
-            (path / name).parent.mkdir(parents=True, exist_ok=True)
-            (path / name).write_bytes(buffer.to_bytes())

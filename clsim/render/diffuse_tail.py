@@ -85,8 +85,7 @@ class _ZoneTail:
         self._rate, self._zone, self.signals = plan.sampling_rate, zone, signals
         self._samples = plan.samples
         self._source, self._tail = signals.source, signals.tail
-        centre = self._scene.sources[self._source].emitted.centre_frequency
-        self._frequency = np.array([centre])
+        self._frequency = np.array([self._scene.sources[self._source].emitted.centre_frequency])
         there = [r for r in range(len(self._scene.receivers)) if not self._is_still(r) or self._is_here(r)]
         still = [r for r in there if self._is_still(r)]
         several = [r for r in there if isinstance(self._scene.receivers[r].directivity, ChannelDirectivity)]
@@ -267,10 +266,9 @@ class SourceSignals:
     def sounds(self, zone: int, first: int, last: int) -> bool:
         """Test whether a zone emits between samples `first` and `last`."""
         margin = self._margin if self.moves else 0
-        if not np.any(self._emitted(first - margin, last + margin)):
-            return False
-        nodes = np.arange(first - margin, last + margin + NODE, NODE)
-        return bool(np.any(self.tail.zones.weights(self._end, nodes / self._rate)[zone]))
+        times = np.arange(first - margin, last + margin + NODE, NODE) / self._rate
+        emits = np.any(self._emitted(first - margin, last + margin))
+        return bool(emits and np.any(self.tail.zones.weights(self._end, times)[zone]))
 
     def read(self, zone: int, departures: NDArray[np.int64], first: int, last: int) -> NDArray[Any]:
         """Return samples `first` to `last` of a zone's emission in directions (Q, n), Pa at 1 m."""
@@ -286,14 +284,18 @@ class SourceSignals:
 
     def _sent(self, zone: int, first: int, last: int) -> NDArray[Any]:
         """Return the signals in all directions (Q, n), relative to a wave front from the zone's middle."""
-        grid = np.arange(first // NODE, -(-last // NODE) + 1) * NODE
-        low = first - self._margin
-        emitted = self._emitted(low, last + self._margin).astype(np.float32)
-        ahead, level = np.zeros((2, len(self.tail.departures), len(grid), 1))
+        sent, grid = np.zeros((len(self.tail.departures), last - first), np.float32), _grid(first, last)
         near = self._near(zone, grid)
-        ahead[:, near, 0], level[:, near, 0] = self._sending(zone, grid[near])
-        motion = Motion(ahead, level)
-        return self.waves.received(emitted[None], low, motion, first, last)
+        if near.any():  # beyond the nodes next to these all is silence
+            part = slice(max(int(near.argmax()) - 1, 0), len(near) - int(near[::-1].argmax()) + 1)
+            grid, near = grid[part], near[part]
+            begin, end = max(first, int(grid[0])), min(last, int(grid[-1]))
+            emitted = self._emitted(begin - self._margin, end + self._margin).astype(np.float32)
+            ahead, level = np.zeros((2, len(sent), len(grid), 1))
+            ahead[:, near, 0], level[:, near, 0] = self._sending(zone, grid[near])
+            made = self.waves.received(emitted[None], begin - self._margin, Motion(ahead, level), begin, end)
+            sent[:, begin - first : end - first] = made
+        return sent
 
     def _near(self, zone: int, grid: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Mask (N,) of nodes at and next to which a zone may be heard in some direction."""
@@ -324,8 +326,7 @@ class SourceSignals:
     @property
     def _margin(self) -> int:
         """Samples by which what is sent in a zone may be ahead or behind, with what interpolation reads."""
-        zones = self.tail.zones
-        return math.ceil(zones.reach / self._air.speed_of_sound * self._rate) + self.between.half + 2 * NODE
+        return math.ceil(self.tail.zones.reach / self._air.speed_of_sound * self._rate) + self.between.half + 2 * NODE
 
     def _emitted(self, first: int, last: int) -> NDArray[Any]:
         """Return samples of the signal; the last stretch is kept, of which all zones read parts."""

@@ -22,6 +22,7 @@ from clsim.arrays import Floats, texts
 from clsim.errors import ClsimWarning, InputError
 from clsim.impulse_responses import impulse_responses
 from clsim.opencl.device import find_device
+from clsim.output.columns import Columns
 from clsim.output.raw_files import SampleFile
 from clsim.output.stores import MemberStore, SoundStore
 from clsim.paths.ground_truth import SCALARS, VECTORS, DirectPath, EchoTruth
@@ -44,7 +45,7 @@ _OF_RECEPTION = {"units": "s", "long_name": "time of reception"}
 class Computed:
     """Results of a member that are not written yet."""
 
-    content: Any  # an xarray Dataset: all but the sound
+    content: Columns  # all but the sound
     sounds: dict[str, NDArray[Any]]  # (rows, n) by their word in `keep`, but for a recording that is in `group`
     attributes: dict[str, Any]  # of each sound in a store
     group: Path  # that holds the sound of a recording which is written as it is rendered
@@ -56,7 +57,7 @@ def computed(study: Study, member: Member, device: str | None, folder: Path) -> 
     file, noise = study.parts_of(member)
     planned = plan_scene(file if device is None else file.on_device(device))
     plan, sound = planned.plan, planned.stored_sound(study.base)
-    content = sound.coordinates()
+    content = sound.columns()
     content.attrs |= {
         "parameters": json.dumps(member.parameters), "identity": json.dumps(run_identity(planned)),
     }  # fmt: skip
@@ -103,7 +104,7 @@ def _recorded(planned: PlannedScene, store: SoundStore | None, folder: Path | No
     )  # fmt: skip
 
 
-def _add_tables(content: Any, study: Study, planned: PlannedScene) -> None:
+def _add_tables(content: Columns, study: Study, planned: PlannedScene) -> None:
     kept = set(study.keep)
     if "room_measures" in kept:
         add_room_measures(content, planned)
@@ -123,53 +124,45 @@ def _add_tables(content: Any, study: Study, planned: PlannedScene) -> None:
         _add_paths(content, planned.path_table(times))
 
 
-def _add_ground_truth(content: Any, found: DirectPath, scene: Scene) -> None:
-    sources = texts(source.name for source in scene.sources)
-    content.coords.update({"times": ("times", found.times, _OF_RECEPTION), "source": sources})
-    columns = {name: getattr(found, name) for name in SCALARS + VECTORS}
-    over = ("source", "receiver", "times", "axis")
-    content.update(
-        {name: (over[: x.ndim], x, ATTRIBUTES[name]) for name, x in columns.items()}
-    )  # one by one takes long
+def _add_ground_truth(content: Columns, found: DirectPath, scene: Scene) -> None:
+    content.add("times", "times", found.times, _OF_RECEPTION)
+    content.add("source", "source", texts(source.name for source in scene.sources))
+    for name in SCALARS + VECTORS:
+        column = getattr(found, name)
+        content.add(name, ("source", "receiver", "times", "axis")[: column.ndim], column, ATTRIBUTES[name])
 
 
-def _add_echo_truth(content: Any, found: EchoTruth) -> None:
+def _add_echo_truth(content: Columns, found: EchoTruth) -> None:
     kind, units = found.KIND, {"delay": "s", "range": "m", "radial_speed": "m/s"}
-    content.coords[kind] = texts(found.names)
-    columns: dict[str, Any] = {}
+    content.add(kind, kind, texts(found.names))
     for name in found.MEASURES:
         over = (kind, "source", "receiver", "times", "axis")[: getattr(found, name).ndim]
-        columns[f"{kind}_{name}"] = (over, getattr(found, name), {"units": units[name]} if name in units else {})
-    content.update(columns)
+        content.add(f"{kind}_{name}", over, getattr(found, name), {"units": units[name]} if name in units else {})
 
 
-def _add_paths(content: Any, table: PathTable) -> None:
-    content.coords["times"] = ("times", table.times, _OF_RECEPTION)
-    columns: dict[str, Any] = {
-        "interactions": (("path", "interaction"), table.interactions),
-        "objects": (("path", "interaction"), table.objects, {"names": list(table.object_names)}),
-    }
+def _add_paths(content: Columns, table: PathTable) -> None:
+    content.add("times", "times", table.times, _OF_RECEPTION)
+    over = "path", "interaction"
+    content.add("path_interactions", over, table.interactions)
+    content.add("path_objects", over, table.objects, {"names": list(table.object_names)})
     for name in ("source", "receiver", "order", "direct"):
-        columns[name] = ("path", getattr(table, name))
+        content.add(f"path_{name}", "path", getattr(table, name))
     for name in ("delay", "doppler_factor", "doppler_shift", "gain"):
-        columns[name] = (("path", "times"), getattr(table, name))
+        content.add(f"path_{name}", ("path", "times"), getattr(table, name))
     for name in ("departure", "arrival"):
-        columns[name] = (("path", "times", "axis"), getattr(table, name))
-    content.update({f"path_{name}": column for name, column in columns.items()})
+        content.add(f"path_{name}", ("path", "times", "axis"), getattr(table, name))
 
 
-def _add_metrics(content: Any, found: Any, taken: set[str]) -> None:
+def _add_metrics(content: Columns, found: Any, taken: set[str]) -> None:
     """Add the metrics that the user's function returned: numbers, arrays, or arrays with own dimensions."""
-    import xarray
-
     if not isinstance(found, dict):
         raise InputError("metrics", f"must return a dict, but returned {found!r:.80}")
     receivers = content.sizes["receiver"]
     for name, value in found.items():
         if not isinstance(name, str) or not name.isidentifier() or name in taken | set(content.variables):
             raise InputError("metrics", f"must return names that are not taken yet, but returned {name!r:.80}")
-        if isinstance(value, xarray.DataArray):
-            content[name] = value
+        if hasattr(value, "to_dataset"):  # of xarray
+            content.add_xarray(name, value)
             continue
         array = np.asarray(value)
         if array.dtype.kind not in "biufc":
@@ -177,7 +170,7 @@ def _add_metrics(content: Any, found: Any, taken: set[str]) -> None:
         over = [f"{name}_{i}" for i in range(array.ndim)]
         if array.ndim and array.shape[0] == receivers:
             over[0] = "receiver"
-        content[name] = (over, array)
+        content.add(name, over, array)
     content.attrs["metrics"] = list(found)
 
 
@@ -249,7 +242,7 @@ def _direct_sound(planned: PlannedScene) -> NDArray[Any]:
         return record(plan_paths(paths, replace(plan.options, duration=duration, tail="off"))).samples
 
 
-def add_direct_labels(content: Any, found: DirectPath, planned: PlannedScene) -> None:
+def add_direct_labels(content: Columns, found: DirectPath, planned: PlannedScene) -> None:
     """Add distance, direction in the receiver's axes, speeds and gain of the direct sound, by time of reception."""
     scene = planned.paths.scene
     apart = found.receiver_position - found.source_position
@@ -263,7 +256,8 @@ def add_direct_labels(content: Any, found: DirectPath, planned: PlannedScene) ->
         "receiver_speed": (_speeds([r.trajectory for r in scene.receivers], found.reception_time, 1), "m/s"),
         "direct_gain": (_direct_gain(found, planned), "1/m"),
     }
-    content.update({name: (_OF_PAIRS, values, {"units": units}) for name, (values, units) in columns.items()})
+    for name, (values, units) in columns.items():
+        content.add(name, _OF_PAIRS, values, {"units": units})
 
 
 def _speeds(motions: list[Any], times: Floats, axis: int) -> Floats:
@@ -287,7 +281,7 @@ def _direct_gain(found: DirectPath, planned: PlannedScene) -> Floats:
     return gain
 
 
-def add_room_measures(content: Any, planned: PlannedScene) -> None:
+def add_room_measures(content: Columns, planned: PlannedScene) -> None:
     """Add the room's measures at 0 s by octave, as ``room_t20`` and so on."""
     plan = planned.plan
     tail = "off" if plan.options.tail == "off" else "auto"
@@ -295,5 +289,7 @@ def add_room_measures(content: Any, planned: PlannedScene) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ClsimWarning)  # NaN says the same
         found = room_measures(impulse_responses(planned.paths, rate, tail=tail, tail_seed=seed)).to_xarray()
-    content.coords["frequency"] = found.coords["frequency"]
-    content.update({f"room_{name}": (values.dims, values.values, values.attrs) for name, values in found.items()})
+    frequency = found.coords["frequency"]
+    content.add("frequency", "frequency", frequency.values, frequency.attrs)
+    for name, values in found.items():
+        content.add(f"room_{name}", values.dims, values.values, values.attrs)

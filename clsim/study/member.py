@@ -19,8 +19,10 @@ from pydantic import TypeAdapter
 from clsim.errors import ClsimWarning, DeviceError, check_packages, in_one_line
 from clsim.files.atomic import is_disk_full, naming_full, to_disk, tree_to_disk
 from clsim.numerics.blas import with_blas_threads
+from clsim.output.columns import write_group
 from clsim.output.raw_files import arrays_with_missing_chunks, is_sealed, seal
-from clsim.output.stores import STORE_FORMAT, write_zarr
+from clsim.output.stores import STORE_FORMAT
+from clsim.study import OF_WORKERS
 from clsim.study.content import Computed, computed, metrics_function
 from clsim.study.file import Study
 from clsim.study.shards import Shards
@@ -40,7 +42,7 @@ class MemberTasks(Tasks):
     """The members of a study, as workers do them."""
 
     kind, several = "member", True
-    loads = ("xarray", "dask.array", "zarr", "scipy.fft", "scipy.linalg", "pyopencl.invoker")
+    loads = OF_WORKERS
 
     def __init__(self, study: Study, folder: Path) -> None:
         render = study.content.get("render", {})
@@ -135,8 +137,8 @@ class Groups:
         content = made.content
         content.attrs["study_row"] = json.dumps(row)
         for name, samples in made.sounds.items():
-            content["sound" if name == "recording" else name] = (("receiver", "time"), samples, made.attributes)
-        write_zarr(content, made.group, "a")
+            content.add("sound" if name == "recording" else name, ("receiver", "time"), samples, made.attributes)
+        write_group(content, made.group)
         seal(made.group)
         tree_to_disk(made.group)  # the group gets its name when all is on the disk
         target = self._group(number)

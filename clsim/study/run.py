@@ -14,9 +14,10 @@ import numpy as np
 
 from clsim.arrays import texts
 from clsim.errors import InputError, counted, in_one_line, of_file, warn
-from clsim.files.atomic import locked, naming_full, remove_leftovers, safe_path, sha256_of, uninterrupted
+from clsim.files.atomic import locked, naming_full, remove_leftovers, safe_path, sha256_of
+from clsim.output.columns import Columns, write_group, write_root
 from clsim.output.raw_files import is_sealed, seal
-from clsim.output.stores import write_zarr
+from clsim.study import OF_WORKERS
 from clsim.study.content import metrics_function
 from clsim.study.file import DEFAULT_LIMIT, Member, Study, checked, load_study
 from clsim.study.member import (
@@ -35,7 +36,7 @@ from clsim.study.shards import FOLDER as SHARDS
 from clsim.study.shards import WAITING, Shards
 from clsim.workflow.console import Progress, no_progress
 from clsim.workflow.pieces import versions
-from clsim.workflow.processes import Dispatch, local_devices
+from clsim.workflow.processes import Dispatch, local_devices, start_server
 from clsim.workflow.result_folder import first_difference
 from clsim.workflow.workers import Workers
 
@@ -122,40 +123,31 @@ def _line(row: MemberRow) -> str:
 
 def create_store(folder: Path) -> None:
     """Create the store of a study without members, or repair its root."""
-    import zarr
-
     store = folder / STORE
     if not is_sealed(store):
-        (store / "zarr.json").unlink(missing_ok=True)
-        uninterrupted(zarr.open_group, store, mode="a", zarr_format=3, attributes=ROOT_ATTRIBUTES)
+        write_root(store, ROOT_ATTRIBUTES)
         seal(store)
 
 
 def write_summary(folder: Path, index: Index) -> None:
     """Write parameters, status, seconds and metrics, of the shapes of the first member, of all into one group."""
-    import xarray
-
     stacked = _stacked(folder, index)
     rows = [index.rows[n] for n in sorted(index.rows)]
-    summary = xarray.Dataset(
-        {
-            "status": ("member", texts(row.status for row in rows)),
-            "seconds": ("member", np.array([row.seconds for row in rows])),
-            "error": ("member", texts(row.error for row in rows)),
-        },
-        coords={"member": [row.member for row in rows]},
-        attrs=ROOT_ATTRIBUTES,
-    )
+    summary = Columns(dict(ROOT_ATTRIBUTES))
+    summary.add("member", "member", [row.member for row in rows])
+    summary.add("status", "member", texts(row.status for row in rows))
+    summary.add("seconds", "member", [row.seconds for row in rows])
+    summary.add("error", "member", texts(row.error for row in rows))
     for name in rows[0].parameters:
         column = _column([row.parameters[name] for row in rows])
-        over = ("member", *(f"{name}_{i}" for i in range(column.ndim - 1)))
-        summary.coords[name] = (over, column)
+        summary.add(name, ("member", *(f"{name}_{i}" for i in range(column.ndim - 1))), column, coord=True)
     for name, (over, array, coords) in stacked.items():
-        summary[name] = (("member", *over), array)
-        summary = summary.assign_coords({k: v for k, v in coords.items() if k in over})
+        summary.add(name, ("member", *over), array)
+        for key in coords.keys() & set(over):
+            summary.add(key, coords[key].dims, coords[key].values, coords[key].attrs, coord=True)
     partial, final = folder / PARTIAL / "summary", folder / STORE / "summary"
     shutil.rmtree(partial, ignore_errors=True)
-    write_zarr(summary, partial, "w-")
+    write_group(summary, partial)
     seal(partial)
     shutil.rmtree(final, ignore_errors=True)
     partial.replace(final)
@@ -174,11 +166,13 @@ def _column(values: list[Any]) -> Any:
 
 def metrics_of(group: Path) -> dict[str, Any] | str:
     """Return the metrics of a member, arrays of xarray by name, or why they cannot be read."""
-    import xarray
-
     try:
         metadata = json.loads((group / "zarr.json").read_bytes())
         arrays, names = metadata["consolidated_metadata"]["metadata"], metadata["attributes"].get("metrics", ())
+        if not names:
+            return {}
+        import xarray
+
         wanted = {*names, *(over for name in names for over in arrays[name].get("dimension_names", ()))}
         others = [name for name in arrays if name not in wanted]  # which are many, and take longer to open than these
         with xarray.open_zarr(group, chunks=None, drop_variables=others) as content:
@@ -270,6 +264,8 @@ def run_study(
     progress = progress or no_progress
     doing = Workers(workers, scheduler)
     doing.check("study", "a study")
+    if scheduler is None:
+        start_server(OF_WORKERS)
     with of_file(path):
         study = load_study(path, DEFAULT_LIMIT if limit is None else limit)
     folder = Path(output).absolute()

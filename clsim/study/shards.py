@@ -25,6 +25,8 @@ Row = dict[str, Any]
 
 FOLDER, WAITING = "shards", "members"  # of whole archives, and of members that are in none yet
 _FORMAT, _DIGEST = b"clsim_shard_format", b"clsim_tar_sha256"  # metadata of a table
+_SEAL, _END = ', "sha256": "', '"}'  # around the digest of labels, which is last in their JSON
+_SEALED = len(_SEAL) + 64 + len(_END)
 _BROKEN = (OSError, ValueError, KeyError, TypeError, EOFError, tarfile.TarError)
 
 
@@ -48,7 +50,7 @@ def write_member(path: Path, made: Computed, form: str, row: Row) -> None:
     labels |= {key: value for key, value in content.attrs.items() if isinstance(value, str | float | int)}
     labels |= {str(key): _plain(str(key), value.values) for key, value in content.variables.items()}
     labels["files"] = [{"name": key, "sha256": _sha256(data)} for key, data in files.items()]
-    text = _text(labels | {"sha256": _sha256(_text(labels))}).encode()
+    text = _sealed(labels)
     with safe_path(path) as temporary, tarfile.open(temporary, "w", format=tarfile.USTAR_FORMAT) as archive:
         for key, data in ({f"{name}.json": text} | files).items():  # without time or owner: equal members, equal bytes
             about = tarfile.TarInfo(key)
@@ -56,8 +58,19 @@ def write_member(path: Path, made: Computed, form: str, row: Row) -> None:
             archive.addfile(about, io.BytesIO(data))
 
 
-def _text(labels: dict[str, Any]) -> str:
-    return json.dumps(labels, sort_keys=True, allow_nan=False)
+def _sealed(labels: dict[str, Any]) -> bytes:
+    """Return labels as JSON with the digest of all of it before the digest."""
+    text = json.dumps(labels, sort_keys=True, allow_nan=False)
+    return f"{text[:-1]}{_SEAL}{_sha256(text)}{_END}".encode()
+
+
+def _unsealed(content: bytes, name: str) -> dict[str, Any]:
+    """Return labels without their digest; raise where they have changed."""
+    text, seal = content[:-_SEALED] + b"}", content[-_SEALED:].decode()
+    if seal != f"{_SEAL}{_sha256(text)}{_END}":
+        raise DamagedError("", f"{name} is not what was written")
+    labels: dict[str, Any] = json.loads(text)
+    return labels
 
 
 def _sha256(data: str | bytes) -> str:
@@ -86,10 +99,8 @@ def read_members(path: Path) -> Iterator[tuple[dict[str, Any], dict[str, bytes]]
                 content = b"" if data is None else data.read()
                 kind = about.name.partition(".")[2]
                 if kind == "json":
-                    labels, files = json.loads(content), {}
+                    labels, files = _unsealed(content, f"{about.name} in {path}"), {}
                     wanted = {one["name"]: one["sha256"] for one in labels["files"]}
-                    if labels.pop("sha256") != _sha256(_text(labels)):
-                        raise DamagedError("", f"{about.name} in {path} is not what was written")
                 elif wanted.pop(about.name) == _sha256(content):
                     files[kind] = content
                 else:

@@ -139,7 +139,7 @@ def find_tail(
     room: Any = scene.room
     tracer = Tracer(
         ray_room(room), energies, ray_engine(options.device), c, options.max_order, (options.seed, source),
-        c / centres if sized else None,
+        c / centres if sized else None, isinstance(scene.sources[source].directivity, Omni),
     )  # fmt: skip
     arrivals, departures = fibonacci_sphere(options.directions), fibonacci_sphere(DEPARTURES)
     radius = of_receivers.radius
@@ -148,17 +148,15 @@ def find_tail(
     pairs: dict[tuple[int, int], TailEnergy] = {}
     rays, error_db, escapes = 0, 0.0, ""
     decay = _Decay(scene, energies, centres)
-    for i, place in enumerate(of_source.centres):
-        emitted = _emitted(scene, source, of_source.turns[i], centres)
-        escapes = escapes or _checked_escapes(scene, tracer, place, emitted)
-        first = 0
-        for received in tracer.received(place, emitted, spheres, i, options.error_db):
+    emitted = [_emitted(scene, source, turn, centres) for turn in of_source.turns]
+    for place, one in zip(of_source.centres, emitted, strict=True):
+        escapes = escapes or _checked_escapes(scene, tracer, place, one)
+    done = progress or (lambda share: None)
+    for first, parts in tracer.received(of_source.centres, emitted, spheres, options.error_db, done):
+        for i, received in enumerate(parts):
             rays, error_db = max(rays, received.rays), max(error_db, received.error_db)
-            for pair in _converged(received, decay):
-                pairs[i, first] = pair
-                first += 1
-        if progress is not None:
-            progress((i + 1) / len(of_source))
+            pairs |= {(i, first + k): pair for k, pair in enumerate(_converged(received, decay))}
+    done(1.0)
     return SourceTail(
         centres, STEP, of_source, of_receivers, pairs, arrivals, departures, rays, error_db, options.seed, escapes
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -91,6 +91,7 @@ class Tracer:
     max_order: int  # of images: energy that was only mirrored, so often at most, is theirs
     seed: tuple[int, int]  # of rays, and the source
     sized: NDArray[np.float64] | None = None  # wavelengths (B,) of bands, m, where walls scatter by their size
+    even: bool = False  # whether the source emits the same in all bands
 
     @cached_property
     def groups(self) -> list[Ints]:
@@ -102,26 +103,47 @@ class Tracer:
         return [group[octave[group] == one] for group in alike for one in np.unique(octave[group])]
 
     def received(
-        self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int, error_db: float
-    ) -> list[Received]:
-        """Return the energies of a source's zone, in parts of as many spheres as fit the memory."""
+        self, origins: Floats, emitted: Sequence[Emitted], spheres: Spheres, error_db: float,
+        progress: Callable[[float], None],
+    ) -> Iterator[tuple[int, list[Received]]]:  # fmt: skip
+        """Yield the first sphere of each part that fits the memory, and the energies of the source's zones there."""
+        pilots = [
+            self._pilot(origin, one, spheres, zone)
+            for zone, (origin, one) in enumerate(zip(origins, emitted, strict=True))
+        ]
+        untils = [self._until(pilot) for pilot in pilots]
+        late = np.mean([late_shares(pilot) for pilot in pilots], axis=0)
+        bins = math.ceil(float(np.max(untils)) / (STEP * self.speed_of_sound))
+        bytes_each = 8.0 * len(self.energies.air) * (len(spheres.arrivals) * min(bins, RAIN / STEP) + bins)
+        step, count = max(1, int(_BYTES / bytes_each)), len(spheres.centres)
+        for i in range(0, count, step):
+            part = slice(i, i + step)
+            some = replace(spheres, centres=spheres.centres[part], volumes=spheres.volumes[part])
+            layout = self._of_part(some, late[part], float(np.max(untils)))
+            searches = [
+                _Search(self, origin, one, some, zone, until, layout)
+                for zone, (origin, one, until) in enumerate(zip(origins, emitted, untils, strict=True))
+            ]
+            shared: list[list[_Search]] = []
+            for k, search in enumerate(searches):
+                search.begin(shared)
+                progress((i + step * (k + 1) / (len(searches) + 1)) / (count + step))
+            while sum(search.refine(error_db) for search in searches):  # each in turn: what it finds serves others
+                pass
+            yield i, [search.found() for search in searches]
+
+    def _pilot(self, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int) -> Floats:
+        """Return energies (Z, windows, B) by few rays."""
         windows = math.ceil(_LONGEST / WINDOW)
         layout = self._layout(spheres, np.zeros(len(spheres.centres), np.int64), 1, 0, windows)
-        energies = layout.empty()
-        longest = np.full(len(self.groups), _LONGEST * self.speed_of_sound)
+        energies, longest = layout.empty(), np.full(len(self.groups), _LONGEST * self.speed_of_sound)
         self.engine.trace(self._run(origin, emitted, spheres, zone, _PILOT, longest, 0), layout, energies)
-        total = np.zeros(energies.windows.shape[1:])
-        total[:, :, self._order] = energies.windows.sum(axis=0)
-        until, late = self._until(total), late_shares(total)
-        bins = math.ceil(float(until.max()) / (STEP * self.speed_of_sound))
-        bytes_each = 8.0 * len(self.energies.air) * (len(spheres.arrivals) * min(bins, RAIN / STEP) + bins)
-        step = max(1, int(_BYTES / bytes_each))
-        found = []
-        for i in range(0, len(spheres.centres), step):
-            part = slice(i, i + step)
-            search = _Search(self, origin, emitted, spheres, zone, until, part, late[part])
-            found.append(search.found(error_db))
-        return found
+        return np.asarray(energies.windows.sum(axis=0).astype(np.float64).take(self.carried[1], axis=-1))
+
+    def _of_part(self, spheres: Spheres, late: Floats, until: float) -> Layout:
+        """Return the layout of some spheres, of late energies (Z,), up to a way, m."""
+        bins, windows = (math.ceil(until / (step * self.speed_of_sound)) for step in (STEP, WINDOW))
+        return self._layout(spheres, *rows_of(late), bins, windows)
 
     def _until(self, windows: Floats) -> Floats:
         """Return the way (G,), m, after which little is left of energies (Z, windows, B) in a group's bands."""
@@ -159,9 +181,18 @@ class Tracer:
         )
 
     @cached_property
-    def _order(self) -> Ints:
-        """Bands group by group."""
-        return np.concatenate(self.groups)
+    def carried(self) -> tuple[list[Ints], Ints]:
+        """Bands whose energies rays carry, group by group, and the place (B,) of every band's energy among them."""
+        # Of bands that source and walls send alike, one is carried for all: walls of one absorption need a single one.
+        bands, place, count = [], np.empty(len(self.energies.air), np.int64), 0
+        for group in self.groups:
+            columns = self.energies.returned[:, :, group].reshape(-1, len(group)) if self.even else np.eye(len(group))
+            _, first, which = np.unique(columns, axis=1, return_index=True, return_inverse=True)
+            own, which = np.unique(first[which.ravel()], return_inverse=True)
+            bands.append(group[own])
+            place[group] = count + which
+            count += len(own)
+        return bands, place
 
     def _layout(self, spheres: Spheres, row: Ints, rows: int, bins: int, windows: int) -> Layout:
         c = self.speed_of_sound
@@ -171,7 +202,7 @@ class Tracer:
             zones, spheres.radius, row.astype(np.int32), rows,
             np.pad(spheres.arrivals, ((0, 0), (0, 1))).astype(np.float32), len(spheres.departures), STEP * c,
             WINDOW * c, bins, min(bins, round(RAIN / STEP)), windows, RAIN * c, _WHOLE / most,
-            len(self.energies.air), len(self.room.plane),
+            sum(map(len, self.carried[0])), len(self.room.plane),
         )  # fmt: skip
 
     def _run(
@@ -182,9 +213,9 @@ class Tracer:
         even = fibonacci_sphere(each)
         turned = np.stack([rotate(normalised(rng.standard_normal((1, 4))), even) for _ in range(SLOTS)], axis=1)
         directions = turned.reshape(-1, 3)
-        groups, order = self.groups, self._order
-        tables = self.energies
-        ends = np.cumsum([0, *(len(group) for group in groups)])
+        groups, tables = self.groups, self.energies
+        order = np.concatenate(self.carried[0])
+        ends = np.cumsum([0, *map(len, self.carried[0])])
         one_of_each = [group[0] for group in groups]
         wavelength = np.zeros(len(groups))
         if self.sized is not None:
@@ -217,31 +248,48 @@ def rows_of(late: Floats) -> tuple[Ints, int]:
 
 
 class _Search:
-    """Rays from one place until energies are known as well as asked for."""
+    """Rays from one zone of the source until energies are known as well as asked for."""
 
+    # Late energies are means over all zones of the source in which they are alike, as they are over zones of receivers:
+    # few rays, of slow decay, bring most of them, and no zone has enough of these by itself.
     def __init__(
         self, tracer: Tracer, origin: Floats, emitted: Emitted, spheres: Spheres, zone: int, until: Floats,
-        part: slice, late: Floats,
+        layout: Layout,
     ) -> None:  # fmt: skip
         self._tracer, self._origin, self._emitted, self._zone, self._until = tracer, origin, emitted, zone, until
-        self._spheres = replace(spheres, centres=spheres.centres[part], volumes=spheres.volumes[part])
-        self._row, rows = rows_of(late)
-        c = tracer.speed_of_sound
-        bins, windows = (math.ceil(float(until.max()) / (step * c)) for step in (STEP, WINDOW))
-        self._layout = tracer._layout(self._spheres, self._row, rows, bins, windows)
-        self._energies = self._layout.empty()
-        self._rays = 0
+        self._spheres, self._layout, self._row = spheres, layout, layout.late_row.astype(np.int64)
+        self._energies = layout.empty()
+        self._rays, self._error = 0, 0.0
+        self._shared = [self]
 
-    def found(self, wanted_db: float) -> Received:
-        """Trace until the error is as small as is asked for, or rays are very many."""
+    def begin(self, shared: list[list[_Search]]) -> None:
+        """Trace the first rays, and share late energies with a search whose ones are alike, or with later ones."""
         self._trace(max(_FIRST // len(self._until), _LEAST))
-        error = self._error_db()
-        while error > wanted_db and self._rays < MOST_RAYS:
-            most = min(1.1 * (error / wanted_db) ** 2, _GROWTH) * self._rays
-            missing = min(most, MOST_RAYS) - self._rays
-            self._trace(min(max(math.ceil(missing / SLOTS), _LEAST // 4), _LARGEST))
-            error = self._error_db()
-        return self._received(error)
+        mine = self._late()
+        for others in shared:
+            ratio = np.divide(mine, others[0]._late(), out=np.ones(len(mine)), where=mine > 0.0)
+            if np.all((ratio < _ALIKE) & (ratio > 1.0 / _ALIKE)):
+                others[0]._energies.late += self._energies.late
+                self._energies.late = others[0]._energies.late
+                others.append(self)
+                self._shared = others
+                return
+        shared.append(self._shared)
+
+    def _late(self) -> Floats:
+        """Return the late energies (rows,) of a ray."""
+        late = self._energies.windows[:, :, round(RAIN / WINDOW) :].sum(axis=(0, 2, 3)) / self._rays
+        return np.asarray(np.bincount(self._row, late, self._layout.rows), np.float64)
+
+    def refine(self, wanted_db: float) -> bool:
+        """Trace more rays and return True, if the error is larger than is asked for and rays are not very many."""
+        self._error = self._error_db()
+        if self._error <= wanted_db or self._rays >= MOST_RAYS:
+            return False
+        most = min(1.1 * (self._error / wanted_db) ** 2, _GROWTH) * self._rays
+        missing = min(most, MOST_RAYS) - self._rays
+        self._trace(min(max(math.ceil(missing / SLOTS), _LEAST // 4), _LARGEST))
+        return True
 
     def _trace(self, each: int) -> None:
         run = self._tracer._run(
@@ -254,31 +302,34 @@ class _Search:
         """Return the standard error of what is loud, dB; late energies are means over zones of a row, and smoothed."""
         slots = self._energies.windows.astype(np.float64)
         early = round(RAIN / WINDOW)
+        share = self._rays / sum(search._rays for search in self._shared)
+        slots[:, :, early:] = share * sum(search._energies.windows[:, :, early:] for search in self._shared)
+        slots = slots.take(self._tracer.carried[1], axis=-1)
         found = [slots[:, :, :early]]
         late = smoothed_windows(slots[:, :, early:], early)
         found += [late[:, self._row == row].mean(axis=1, keepdims=True) for row in range(self._layout.rows)]
-        error, count = 0.0, 0
+        squares, counts = [], []
         loudest = slots.mean(axis=0).max(axis=(0, 1))
         for part in found:
             mean, spread = part.mean(axis=0), part.std(axis=0, ddof=1) / math.sqrt(SLOTS)
             loud = mean > _DEPTH * loudest
-            error += float(np.sum(np.square(spread[loud] / mean[loud])))
-            count += int(np.count_nonzero(loud))
-        return 10.0 / math.log(10.0) * math.sqrt(error / count) if count else 0.0
+            squares.append(float(np.sum(np.square(spread[loud] / mean[loud]))))
+            counts.append(int(np.count_nonzero(loud)))
+        # Zones that share what comes late must not have what comes first less well known for it.
+        errors = [squares[0] / max(counts[0], 1), sum(squares) / max(sum(counts), 1)]
+        return 10.0 / math.log(10.0) * math.sqrt(max(errors))
 
-    def _received(self, error_db: float) -> Received:
-        energies, order = self._energies, self._tracer._order
+    def found(self) -> Received:
+        """Return the energies."""
+        energies, place = self._energies, self._tracer.carried[1]
         zones = np.bincount(self._row, minlength=self._layout.rows)
-        early, late, images = (
-            np.empty(table.shape, np.float32 if table.ndim == 4 else np.float64)
-            for table in (energies.early, energies.late, energies.images)
-        )
         unit = 4.0 * np.pi / (self._layout.scale * self._rays)  # energy of a whole number
-        early[..., order] = energies.early * unit
-        late[..., order] = energies.late * (unit / zones)[:, None, None, None]
-        images[..., order] = energies.images * unit
+        of_late = unit * self._rays / sum(search._rays for search in self._shared)
+        early: Any = (energies.early * unit).astype(np.float32).take(place, axis=-1)
+        late: Any = (energies.late * (of_late / zones)[:, None, None, None]).astype(np.float32).take(place, axis=-1)
+        images: Any = (energies.images * unit).take(place, axis=-1)
         departed = np.asarray(energies.departures * unit, np.float64)
-        return Received(early, late, np.asarray(images, np.float64), departed, self._row, self._rays, error_db)
+        return Received(early, late, images, departed, self._row, self._rays, self._error)
 
 
 def smoothed_windows(energy: Floats, first: int) -> Floats:

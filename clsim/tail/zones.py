@@ -20,7 +20,7 @@ from clsim.scene.room.shoebox import enclosure_of
 from clsim.scene.scene import Scene
 
 _LOWEST = 31.25  # Hz, of a band's centre
-TOGETHER = 8  # streams that are made at a time: as many as fill vectors of transforms and stay in cache
+TOGETHER = 16  # streams that are made at a time: as many as fill vectors of transforms and stay in cache
 _SILENT = 1e-30  # energy, whose logarithm is still a number
 _BENT = 0.015  # of the rate of decay in a middle between thirds, by which interpolation may miss it
 _STEEP = 0.12  # difference of decay times of neighbours, above which there are bands between them: 0.3 dB in 35 dB

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import connection as pipes
@@ -61,9 +61,7 @@ class ProcessTeam:
         self._unready = [0] * number  # processes in a row that died before they were ready
         self._count = 0
         self._workers: dict[str, _Worker] = {}
-        if _start_method() == "forkserver":  # the process that others are forked from loads what all of them need
-            function, _ = tasks.check()
-            self._context.set_forkserver_preload([__name__, function.__module__, *tasks.loads])
+        start_server([tasks.check()[0].__module__, *tasks.loads])
 
     def start(self) -> None:
         """Start the processes."""
@@ -145,6 +143,17 @@ class ProcessTeam:
             worker.process.kill()
             worker.process.join()
             worker.pipe.close()
+
+
+def start_server(modules: Sequence[str]) -> None:
+    """Start the process that workers are forked from, where they are; it loads modules while this one goes on."""
+    if _start_method() != "forkserver":
+        return
+    from multiprocessing import forkserver
+
+    forkserver.set_forkserver_preload([__name__, *modules])  # of no effect where it runs already
+    with suppress(OSError, RuntimeError), _heirs(_environment(1)):  # who starts a worker is told
+        forkserver.ensure_running()
 
 
 @contextmanager
