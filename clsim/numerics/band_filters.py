@@ -162,6 +162,8 @@ def _between(coefficients: Floats | Complexes, angles: Floats) -> Floats | Compl
 
 def _at_points(coefficients: Floats | Complexes, count: int) -> Floats | Complexes:
     """Return the values (K, count) of Chebyshev polynomials at as many Chebyshev points, from high to low."""
+    if coefficients.shape[1] > count:
+        return _polynomials(coefficients, _points(count))
     padded: Any = np.pad(coefficients, ((0, 0), (0, count - coefficients.shape[1])))
     padded[:, 0] *= 2.0
     return np.asarray(0.5 * scipy.fft.dct(padded, type=3, axis=1))

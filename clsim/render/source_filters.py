@@ -25,8 +25,7 @@ from clsim.scene.signal.occupied_bandwidth import CELLS, ShortTimeSpectra, share
 from clsim.scene.signal.signal import Signal
 from clsim.tracks.basis import NO_TILT, Basis, Tilt, band_of, flat_basis
 from clsim.tracks.basis_design import scene_basis, turning_basis
-from clsim.tracks.picked import TIMES, TIMES_OF_BANDS
-from clsim.tracks.sampled import Draw
+from clsim.tracks.picked import TIMES, TIMES_OF_BANDS, Draw
 from clsim.tracks.tracks import Tracks
 
 EXACT_DB = -100.0  # error of air, walls and directivities over a signal's band by the reference engine
@@ -114,8 +113,7 @@ class Emission:
         signal, interpolator = self.signal, self.options.interpolator
         sampling_rate, sound = signal.sampling_rate, self.sound
         times = _oversampling(sound, interpolator, self.max_rate, sampling_rate)
-        high, removed_db, limit = self.band_limited(times)
-        rate = times * sampling_rate
+        rate, (high, removed_db, limit) = times * sampling_rate, self.band_limited(times)
         basis = self.basis((0.0, high), rate)
         banks = self.banks(basis.filters, basis.loudness, high, rate, times)
         filters = np.stack([np.convolve(f, limit if times == 1 else _doubling(sampling_rate)) for f in basis.filters])

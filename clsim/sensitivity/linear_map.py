@@ -25,7 +25,7 @@ from clsim.sensitivity.displaced import ByFunctions, Knot, TangentResponse, loca
 from clsim.sensitivity.parameters import Parameter, along, trajectories, with_spread
 from clsim.sensitivity.tangents import TangentPaths, Tangents
 from clsim.tracks.basis import Basis
-from clsim.tracks.sampled import SEED
+from clsim.tracks.picked import SEED
 from clsim.tracks.tracks import SceneTracks
 
 _MOST_PAIRS = 16  # of a source, that the design of functions of frequency looks at

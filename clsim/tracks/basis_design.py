@@ -15,7 +15,7 @@ from clsim.arrays import Complexes, Floats
 from clsim.errors import InputError, warn
 from clsim.numerics.band_filters import LONGEST, BandFilters, band_filters
 from clsim.tracks.basis import Band, Basis, Sample, flat_basis, in_parts, parts_of
-from clsim.tracks.sampled import Draw
+from clsim.tracks.picked import Draw
 
 MOST_FUNCTIONS = 256  # a rod of 30 cm over 20 to 60 kHz takes 60, ears of 512 samples at 44.1 kHz that turn take 240
 _TURNED_DB = -80.0  # error from which on it is told that phases at one frequency are not held

@@ -73,7 +73,7 @@ def replace_text(program: str, old: str, new: str) -> None:
 # Program, text, and what stands there instead; without a program it is the host, whose buffers are then not cleared.
 MUTANTS = {
     "": None,
-    "off_by_one": ("branches", "tap_count - 1 - k]", "tap_count - k]"),
+    "off_by_one": ("branches", "k < tap_count; k++, at++", "k <= tap_count; k++, at++"),
     "no_barrier": ("render", "                }\n#endif\n                SYNCHRONISE;", "                }\n#endif"),
     "not_cleared": (),
 }

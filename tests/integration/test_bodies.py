@@ -204,12 +204,12 @@ def test_studies_compute_them(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(SCENE, "utf-8")
     (tmp_path / "study.toml").write_text(STUDY, "utf-8")
     study = load_study(tmp_path / "study.toml")
-    content = computed(study, study.members[0], None, tmp_path / "member").content
-    assert bool(content.line_of_sight.all())
-    truth = clsim.body_truth(clsim.load_scene(tmp_path / "scene.toml").scene, content.times.values)
-    assert content.body.values.tolist() == ["door", "robot"]
-    np.testing.assert_array_equal(content.body_range, truth.range)
-    assert content.body_visible.dims == ("body", "source", "receiver", "times")
+    content = computed(study, study.members[0], None, tmp_path / "member").content.variables
+    assert content["line_of_sight"].values.all()
+    truth = clsim.body_truth(clsim.load_scene(tmp_path / "scene.toml").scene, content["times"].values)
+    assert content["body"].values.tolist() == ["door", "robot"]
+    np.testing.assert_array_equal(content["body_range"].values, truth.range)
+    assert content["body_visible"].dims == ("body", "source", "receiver", "times")
 
 
 def test_engines_agree_and_nothing_that_moves_is_convolved(paths: PathSet, device: None) -> None:

@@ -394,14 +394,17 @@ def test_studies_keep_the_truth_about_scatterers(file: Any, tmp_path: Path) -> N
     (tmp_path / "scene.toml").write_text(text, "utf-8")
     (tmp_path / "study.toml").write_text(STUDY, "utf-8")
     study = load_study(tmp_path / "study.toml")
-    content = computed(study, study.members[0], None, tmp_path / "member").content
-    truth = clsim.scatterer_truth(file.scene, content.times.values)
-    assert content.scatterer.values.tolist() == ["hand", "ball", "bat"]
-    assert content.scatterer_radial_speed.dims == ("scatterer", "source", "receiver", "times")
-    assert content.scatterer_bearing.shape == truth.bearing.shape
-    np.testing.assert_array_equal(content.scatterer_range, truth.range)
-    assert content.scatterer_delay.attrs["units"] == "s"
-    larger = computed(study, study.members[1], None, tmp_path / "other").content.scatterer_range.values - truth.range
+    content = computed(study, study.members[0], None, tmp_path / "member").content.variables
+    truth = clsim.scatterer_truth(file.scene, content["times"].values)
+    assert content["scatterer"].values.tolist() == ["hand", "ball", "bat"]
+    assert content["scatterer_radial_speed"].dims == ("scatterer", "source", "receiver", "times")
+    assert content["scatterer_bearing"].values.shape == truth.bearing.shape
+    np.testing.assert_array_equal(content["scatterer_range"].values, truth.range)
+    assert content["scatterer_delay"].attrs["units"] == "s"
+    larger = (
+        computed(study, study.members[1], None, tmp_path / "other").content.variables["scatterer_range"].values
+        - truth.range
+    )
     np.testing.assert_array_equal(larger[[0, 2]], 0.0)
     np.testing.assert_allclose(larger[1], -0.03, atol=1e-3)  # of the ball: its surface is nearer by 3 cm
 

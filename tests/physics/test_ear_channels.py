@@ -15,7 +15,7 @@ from clsim.render.methods.ear_responses import ear_responses
 from clsim.render.plan import Allocation, Plan
 from clsim.render.planning import on_device
 from clsim.render.render import record
-from clsim.tracks.sampled import OnwardTurning, turn_jumps
+from clsim.tracks.onward import OnwardTurning, turn_jumps
 
 PROMISED_DB = -86.0
 RATE = 16e3

@@ -41,7 +41,7 @@ def test_differences_of_scenes_made_anew(case: str) -> None:
 @pytest.mark.parametrize(("count", "what"), few([(2, "ball"), (1, "ball"), (1, "receiver")]))
 def test_differences_with_scatterers(count: int, what: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """One sphere that moves, and two in a row, beside the direct sound; few instants tell of their few lobes."""
-    monkeypatch.setattr("clsim.tracks.sampled._MOST_TIMES", 8)
+    monkeypatch.setattr("clsim.tracks.picked._MOST_TIMES", 8)
     name = "receivers[0].position.x" if what == "receiver" else "scatterers[0].position.x"
     check_differences(lambda h: balls(h, what, count), name, 3e-4, 24e3)
 

@@ -21,7 +21,7 @@ from clsim.scene.directivity.directivity import ChannelDirectivity
 from clsim.scene.directivity.patterns import Omni
 from clsim.scene.ends import Receiver, Source
 from clsim.tracks.basis import flat_basis
-from clsim.tracks.sampled import LEAST_JUMP, turn_jumps
+from clsim.tracks.onward import LEAST_JUMP, turn_jumps
 from clsim.tracks.splines import REACH, Pieces, Rows
 from clsim.tracks.tracks import SceneTracks, clock_time
 

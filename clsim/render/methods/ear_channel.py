@@ -20,7 +20,7 @@ from clsim.render.opencl.host_nodes import side_by_side, thread_count
 from clsim.render.plan import Plan
 from clsim.scene.ends import Receiver, Source
 from clsim.scene.motion.curves import Onward
-from clsim.tracks.sampled import turn_jumps
+from clsim.tracks.onward import turn_jumps
 from clsim.tracks.tracks import SceneTracks, clock_time
 
 _LEAST = 1e-6  # rad/s, by which directions turn at least

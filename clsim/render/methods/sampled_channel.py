@@ -19,7 +19,7 @@ from clsim.render.opencl.channel_engine import ChannelEngine, TaperedEngine
 from clsim.render.options import RenderOptions
 from clsim.render.plan import LONG_BLOCKS, Allocation, ChannelPart, PairPart, Plan, plan_of_part
 from clsim.render.source_filters import Emission, SourceFilters
-from clsim.tracks.sampled import continued
+from clsim.tracks.onward import continued
 from clsim.tracks.splines import Rows
 from clsim.tracks.tracks import SceneTracks, Tracks
 

@@ -9,7 +9,7 @@ import pytest
 import clsim
 from clsim.numerics.band_filters import chebyshev_points
 from clsim.paths.response import SceneResponse
-from clsim.tracks import picked, sampled
+from clsim.tracks import picked
 from clsim.tracks.tracks import SceneTracks, track
 
 
@@ -43,7 +43,7 @@ def test_instants_together_are_those_one_by_one(made: dict[str, Any], monkeypatc
     for together in (True, False):
         monkeypatch.setattr("clsim.paths.chain.Chain.one_by_one", property(lambda self, here=together: here))
         (drawn,) = picked.picked_paths(of_scene, 0, 1.0, (400,), np.random.default_rng(1))
-        draws.append((len(drawn), sampled.Draw(of_scene, 0, 1.0, drawn).responses(band)))
+        draws.append((len(drawn), picked.Draw(of_scene, 0, 1.0, drawn).responses(band)))
     (few, stacked), (many, single) = draws
     assert few < many
     assert np.array_equal(stacked.first, single.first)
@@ -55,7 +55,7 @@ def test_responses_are_those_of_the_paths_at_their_own_instants() -> None:
     of_scene = tracks(3.0)
     band = sampled.Band(20e3, 40e3, np.array([20e3, 30e3, 40e3]), np.ones((1, 3)) / 3)
     (drawn,) = picked.picked_paths(of_scene, 0, 1.0, (400,), np.random.default_rng(1))[0]
-    made = sampled.Draw(of_scene, 0, 1.0, (drawn,)).responses(band).responses / drawn.scale
+    made = picked.Draw(of_scene, 0, 1.0, (drawn,)).responses(band).responses / drawn.scale
     at = SceneResponse(of_scene.scene, 0, band.frequencies)
     for row in range(0, len(made), 7):
         alone, when = drawn.paths.part(np.array([row])), drawn.times[row]

@@ -2,6 +2,7 @@
 
 import argparse
 import copy
+import importlib
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
@@ -96,7 +97,7 @@ def test_the_command_line_takes_types_from_the_options(monkeypatch: pytest.Monke
     assert (given.engine, given.duration, given.device) == ("reference", 0.5, "0:0")
     with pytest.raises(SystemExit):
         parser.parse_args(["s.toml", "-o", "out", "--engine", "other"])
-    monkeypatch.setattr(arguments, "RenderOptions", MoreOptions)
+    monkeypatch.setattr(importlib.import_module("clsim.render.options"), "RenderOptions", MoreOptions)
     arguments.add_render_option(parser, "tail_db", "of the tail")
     assert parser.parse_args(["s.toml", "-o", "out", "--tail-db", "-30"]).tail_db == -30.0
 
