@@ -10,6 +10,7 @@ import clsim
 from clsim.numerics.band_filters import chebyshev_points
 from clsim.paths.response import SceneResponse
 from clsim.tracks import picked
+from clsim.tracks.basis import Band
 from clsim.tracks.tracks import SceneTracks, track
 
 
@@ -38,7 +39,7 @@ def tracks(speed: float, turning: bool = False, material: Any = None, head: bool
 )
 def test_instants_together_are_those_one_by_one(made: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     of_scene = tracks(**made)
-    band = sampled.Band(20e3, 40e3, chebyshev_points(20e3, 40e3, 9), np.ones((1, 9)) / 9)
+    band = Band(20e3, 40e3, chebyshev_points(20e3, 40e3, 9), np.ones((1, 9)) / 9)
     draws = []
     for together in (True, False):
         monkeypatch.setattr("clsim.paths.chain.Chain.one_by_one", property(lambda self, here=together: here))
@@ -53,7 +54,7 @@ def test_instants_together_are_those_one_by_one(made: dict[str, Any], monkeypatc
 
 def test_responses_are_those_of_the_paths_at_their_own_instants() -> None:
     of_scene = tracks(3.0)
-    band = sampled.Band(20e3, 40e3, np.array([20e3, 30e3, 40e3]), np.ones((1, 3)) / 3)
+    band = Band(20e3, 40e3, np.array([20e3, 30e3, 40e3]), np.ones((1, 3)) / 3)
     (drawn,) = picked.picked_paths(of_scene, 0, 1.0, (400,), np.random.default_rng(1))[0]
     made = picked.Draw(of_scene, 0, 1.0, (drawn,)).responses(band).responses / drawn.scale
     at = SceneResponse(of_scene.scene, 0, band.frequencies)
