@@ -269,7 +269,7 @@ class Draw:
                 shapes = family.of_channels(some.paths, some.found, some.times, at)
             along = np.swapaxes(shapes, 1, 2).reshape(len(shapes), -1, shapes.shape[3])
             if band.late != 0.0:
-                along *= np.conj(band.turn)
+                along = along * np.conj(band.turn)  # real ones too
             along *= some.scale
             spans = list(pairwise(some.first))
             if some.whole:

@@ -64,6 +64,16 @@ def test_responses_are_those_of_the_paths_at_their_own_instants() -> None:
         np.testing.assert_allclose(made[row], wanted, rtol=1e-12)
 
 
+def test_a_delay_is_taken_out_of_real_responses() -> None:
+    """Where others are complex, all are turned."""
+    of_scene = tracks(3.0)
+    (drawn,) = picked.picked_paths(of_scene, 0, 1.0, (400,), np.random.default_rng(1))[0]
+    draw, band = picked.Draw(of_scene, 0, 1.0, (drawn,)), Band(20e3, 40e3, np.array([20e3, 40e3]), np.ones((1, 2)) / 2)
+    plain, turned = (draw.responses(dataclasses.replace(band, late=late)).responses for late in (0.0, 3e-5))
+    assert not np.iscomplexobj(plain)
+    np.testing.assert_allclose(turned, plain * np.exp(2j * np.pi * 3e-5 * band.frequencies), rtol=1e-12)
+
+
 def test_ends_that_hardly_move_need_few_instants() -> None:
     """From a distance d less the way on: 12 instants for each such distance, 3 at least."""
     most = 24
